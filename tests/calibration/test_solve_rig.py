@@ -211,7 +211,7 @@ def test_a_view_of_something_else_is_left_out(good):
     noise = replace(v, pixel=np.random.default_rng(0).uniform(0, 1000, v.pixel.shape))
     found = calibrate(swapped(good, "cam2", "tilt_1", noise), MESH, model=FAST)
     assert found.usable
-    assert any("cam2 tilt_1: its points are no plane grid" in note for note in found.notes)
+    assert any("cam2 tilt_1: its points are not a plane grid" in note for note in found.notes)
 
 
 def test_views_in_another_order_are_reported(good):

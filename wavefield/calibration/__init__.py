@@ -1,4 +1,4 @@
-"""From target images to a rig: finding targets, solving for the cameras, reporting how far to trust them."""
+"""Calibrate a rig from target images: find the targets, solve for the cameras, and assess the result."""
 
 from wavefield.lazy_names import lazy_names
 

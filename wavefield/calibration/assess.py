@@ -1,4 +1,4 @@
-"""Residuals in px and mm, the views to retake, and whether a rig is good enough to use."""
+"""Check the views before a calibration, and assess the rig after it, with a sentence for each problem."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,16 +27,16 @@ from wavefield.rig.water_level import WaterPlane, fit_plane
 
 @dataclass(frozen=True)
 class FlatSurface:
-    """The flat target as the rig measures it."""
+    """Nodes of the flat target that two or more cameras see, triangulated with the rig."""
 
-    x: Array  # (n,): Nodes in view of two cameras at least, triangulated from their pixels, metres
+    x: Array  # (n,): Metres
     y: Array
     z: Array
-    plane: WaterPlane  # Through them
+    plane: WaterPlane  # The plane through these nodes
 
     @property
     def rms(self) -> float:
-        """Rms of z, metres."""
+        """Rms of z without outliers, metres."""
         return _rms(self.z[self.plane.kept])
 
     @property
@@ -50,7 +50,7 @@ def _rms(values: Array) -> float:
 
 
 def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> FlatSurface | None:
-    """Triangulate the nodes of the flat target."""
+    """Triangulate the nodes of the target in one pose; None if two cameras share fewer than ten."""
     o = observations
     N, C = len(o.nodes), len(o.cameras)
     apparent, sight = np.full((C, 2, N), np.nan), np.full((C, 2, N), np.nan)
@@ -59,7 +59,7 @@ def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> F
         apparent[c][:, o.node[rows]] = np.stack(rig[name].unproject(*o.pixel[rows].T))
         sight[c] = np.stack(rig[name].sight_line(*apparent[c]))
     x, y, z, _ = triangulate(apparent, sight)
-    z = z - fit.geometry.offset[:, 2] - o.plan[:, 2]
+    z = z - fit.geometry.offset[:, 2] - o.nominal[:, 2]
     measured = np.isfinite(z)
     if measured.sum() < 10:
         return None
@@ -68,7 +68,7 @@ def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> F
 
 
 def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, str], Array]:
-    """Distances of nodes from the epipolar lines of each pair of cameras, px in the second image."""
+    """Distances of nodes from their epipolar lines, (m,), px in the second image, by pair of cameras."""
     o = observations
     key = o.pose * len(o.nodes) + o.node
     out = {}
@@ -83,7 +83,7 @@ def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, 
 
 
 def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float:
-    """Size of a camera's pixel on the target, metres (median)."""
+    """Median size of a camera's pixel on the target, metres."""
     g = fit.geometry
     world = g.world(observations)[observations.camera == camera]
     depth = (world @ g.R[camera].T + g.T[camera])[:, 2]
@@ -93,7 +93,7 @@ def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float
 def numbers(
     observations: Observations, fit: Fit, rig: Rig, reference: str
 ) -> tuple[dict[str, Any], FlatSurface | None]:
-    """Residuals, distances from epipolar lines and flatness of the target for the calibration's page."""
+    """Residuals, epipolar distances and flatness of the target, for the calibration's report page."""
     o = observations
     cameras = {}
     for c, name in enumerate(o.cameras):
@@ -141,7 +141,7 @@ MIN_STD = 1e-4  # px: no image gives a smaller uncertainty
 
 
 def usable_views(views: Views, findings: Findings) -> UsableViews:
-    """Views that can be used: enough finite points, and one image size per camera."""
+    """Views with enough finite points and the common image size; others are added to the findings."""
     usable: UsableViews = {}
     for name, by_pose in views.items():
         size = _common_size(name, by_pose, findings)
@@ -165,7 +165,7 @@ def usable_views(views: Views, findings: Findings) -> UsableViews:
 def _common_size(
     name: str, by_pose: Mapping[str, TargetPoints], findings: Findings
 ) -> tuple[int, int] | None:
-    """Most frequent size of a camera's images; other sizes are reported."""
+    """Most frequent image size of a camera; other sizes are added to the findings."""
     sizes: dict[tuple[int, int], list[str]] = {}
     for pose, points in by_pose.items():
         sizes.setdefault((int(points.size[0]), int(points.size[1])), []).append(pose)
@@ -182,7 +182,7 @@ def _common_size(
 
 
 def _finite(points: TargetPoints) -> TargetPoints:
-    """Points with finite positions, and no standard uncertainty below `MIN_STD`."""
+    """Points with finite positions; standard uncertainties are at least `MIN_STD`."""
     finite = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
     return replace(
         points,
@@ -200,7 +200,7 @@ def calibrate_each(
     flats: Sequence[str],
     findings: Findings,
 ) -> dict[str, SingleCamera]:
-    """Each camera calibrated on its own; views that are no plane grid are removed from `usable`."""
+    """Calibrate each camera alone; views that are not a plane grid are removed from `usable`."""
     single: dict[str, SingleCamera] = {}
     for name, views in usable.items():
         if not views:
@@ -211,8 +211,8 @@ def calibrate_each(
             findings.problems.append(str(error))
     for name, camera in single.items():
         for pose in [p for p in usable[name] if p not in camera.poses]:
-            findings.leave_out(name, pose, len(usable[name].pop(pose)), "its points are no plane grid")
-        if camera.deep:
+            findings.leave_out(name, pose, len(usable[name].pop(pose)), "its points are not a plane grid")
+        if camera.known_heights:
             continue
         tilted = [p for p in camera.poses if p not in flats]
         if len(camera.poses) < 3:
@@ -232,7 +232,7 @@ def calibrate_each(
 def consistent_cameras(
     single: dict[str, SingleCamera], usable: UsableViews, mesh: float, findings: Findings
 ) -> dict[str, SingleCamera]:
-    """Cameras that found the target in the same poses; deviating views are removed from both arguments."""
+    """Cameras that found the target in the same poses; deviating views are removed from both mappings."""
     consistency = compare_poses(single, mesh)
     _report_inconsistency(consistency, single, mesh, findings)
     for name, pose in consistency.wrong_views:
@@ -244,11 +244,11 @@ def consistent_cameras(
             "(its nodes are counted from another origin or turned, or it was moved between shots)",
         )
         del single[name].poses[pose]
-    excluded = consistency.wrong_cameras + consistency.alone
+    excluded = consistency.wrong_cameras + consistency.unlinked
     consistent = {name: camera for name, camera in single.items() if name not in excluded}
     if consistent:
         return consistent
-    # cameras that have nothing in common: the first with the most views
+    # no two cameras are consistent: keep the one with the most views
     name = max(single, key=lambda n: len(single[n].poses))
     return {name: single[name]}
 
@@ -269,7 +269,7 @@ def _report_inconsistency(
                 f"the target moved differently in the views of {name} and of {' and '.join(right)}: are its "
                 "views in the same order, and was the target still while all cameras took their image?"
             )
-    for name in consistency.alone:
+    for name in consistency.unlinked:
         findings.problems.append(
             f"{name} shares no view of the target with another camera: "
             "photograph the target where all cameras see it at once"
@@ -284,7 +284,7 @@ def assess_rig(
     camera_distance: Mapping[str, float],
     findings: Findings,
 ) -> None:
-    """Add problems and notes of a rig to the findings; target_std and camera_distance in metres."""
+    """Add the problems of a fitted rig to the findings; target_std and camera_distance are in metres."""
     for c, name in enumerate(o.cameras):
         stated = camera_distance.get(name)
         if stated:

@@ -1,4 +1,8 @@
-"""Bundle adjustment: cameras and target poses from all nodes at once, with their covariance."""
+"""Bundle adjustment: fit cameras and target poses to all nodes at once, with their covariance.
+
+The parameters x (p,) are steps from a start geometry: lens terms, and a rotation vector and translation for
+each camera and each free pose of the target.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -12,8 +16,8 @@ from wavefield.calibration.observations import Geometry, Observations
 from wavefield.rig.lens import LENS, Array, project
 from wavefield.robust import robust_std
 
-# terms of a model -> the columns of Geometry.lens they move; f (log of both focal lengths) and aspect (log of
-# fx alone) are not columns themselves
+# Terms of a camera model, and the lens parameters that each one frees. `f` is the logarithm of both focal
+# lengths, `aspect` that of fx alone; the others are columns of `Geometry.lens`.
 TERMS: dict[str, tuple[str, ...]] = {
     "f": ("f",),
     "aspect": ("aspect",),
@@ -27,7 +31,7 @@ TERMS: dict[str, tuple[str, ...]] = {
 
 
 def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
-    """A rotation turned by a rotation vector, R exp(v), and its derivatives (3, 3, 3) by the vector."""
+    """A rotation (3, 3) times exp of a rotation vector (3,), R exp(v), and its derivatives (3, 3, 3) by v."""
     R, jacobian = cv2.Rodrigues(np.asarray(vector, float))
     derivative = np.asarray(jacobian, float).reshape(3, 3, 3)
     return rotation @ np.asarray(R, float), rotation @ derivative
@@ -35,23 +39,23 @@ def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """Position of each parameter in the vector of the fit."""
+    """Position of each parameter in the vector x (p,) of the fit."""
 
     names: tuple[str, ...]  # One per parameter
-    lens: tuple[tuple[tuple[int, str], ...], ...]  # Per camera, (parameter, moved term)
-    camera: tuple[int, ...]  # Per camera, the first of its six (rotation vector, translation)
-    # Per pose of the target, (parameter, which of the six); none for the pose that defines the frame
+    lens: tuple[tuple[tuple[int, str], ...], ...]  # Per camera: (position, lens parameter)
+    camera: tuple[int, ...]  # Per camera: position of the first of six, rotation vector and translation
+    # Per pose: (position, which of the same six) of the free ones; empty for a pose that defines the frame
     pose: tuple[tuple[tuple[int, int], ...], ...]
 
     def pose_step(self, p: int, x: Array) -> Array:
-        """Rotation vector and translation by which parameters x move a pose, (6,)."""
+        """Rotation vector and translation (6,) by which parameters x (p,) move pose p."""
         step = np.zeros(6)
         for k, which in self.pose[p]:
             step[which] = x[k]
         return step
 
     def with_pose(self, name: str, free: Sequence[int]) -> "ParameterLayout":
-        """The layout for one more pose, some of whose six parameters are free."""
+        """The layout with one more pose, of which the parameters `free` (0 to 5) are fitted."""
         moves = tuple((len(self.names) + k, which) for k, which in enumerate(free))
         names = (f"{name} {('R1', 'R2', 'R3', 'x', 'y', 'z')[which]}" for which in free)
         return replace(self, names=(*self.names, *names), pose=(*self.pose, moves))
@@ -64,7 +68,10 @@ def layout(
     flat: Sequence[int] = (),
     placed: Sequence[int] = (),
 ) -> ParameterLayout:
-    """Lay out the parameters of the joint fit."""
+    """Lay out the parameters of the joint fit.
+    `models` holds the free lens terms of each camera. The pose `reference` and those in `placed` are fixed;
+    those in `flat` stay on z = 0.
+    """
     names: list[str] = []
     lens, camera = [], []
     for c, name in enumerate(observations.cameras):
@@ -81,8 +88,8 @@ def layout(
     return plan
 
 
-def moved(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
-    """The geometry after a step x (p,) of the parameters from a start."""
+def stepped(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
+    """The geometry after a step x (p,) from a start."""
     lens, R, T = start.lens.copy(), start.R.copy(), start.T.copy()
     pose_R, pose_t = start.pose_R.copy(), start.pose_t.copy()
     for c, columns in enumerate(plan.lens):
@@ -104,7 +111,7 @@ def moved(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
 
 
 def predict(geometry: Geometry, observations: Observations) -> Array:
-    """Pixels predicted by a geometry, (n, 2)."""
+    """Pixels (n, 2) of the observed nodes, as a geometry predicts them."""
     world = geometry.world(observations)
     pixel = np.empty((len(observations), 2))
     for c, camera in enumerate(geometry.cameras(observations.sizes)):
@@ -116,12 +123,12 @@ def predict(geometry: Geometry, observations: Observations) -> Array:
 def linearised(
     start: Geometry, plan: ParameterLayout, x: Array, observations: Observations
 ) -> tuple[Array, Array, Array]:
-    """Pixels (n, 2) predicted at given parameters (p,), and their derivatives.
-    These are (n, 2, p) by the parameters, and (n, 2, 3) by the nodes' offsets, px per metre.
+    """Predicted pixels (n, 2) at parameters x (p,), with their derivatives.
+    The derivatives are (n, 2, p) by the parameters and (n, 2, 3) by the nodes' offsets, px per metre.
     """
     o = observations
-    now = moved(start, plan, x)
-    local = (o.plan + now.offset)[o.node]
+    now = stepped(start, plan, x)
+    local = (o.nominal + now.offset)[o.node]
     world = now.world(o)
     pixel, by_node = np.empty((len(o), 2)), np.empty((len(o), 2, 3))
     J = np.zeros((len(o), 2, len(plan.names)))
@@ -161,21 +168,21 @@ def linearised(
 def covariance_to_dict(
     names: tuple[str, ...], covariance: Array, cameras: tuple[str, ...]
 ) -> dict[str, list[str] | list[list[float]]]:
-    """The cameras' part of a fit's covariance (p, p), as the rig's file stores it."""
+    """The cameras' part of a covariance (p, p) for the rig file: parameter names and lower triangle."""
     columns = [k for k, name in enumerate(names) if name.rsplit(" ", 1)[0] in cameras]
     part = covariance[np.ix_(columns, columns)]
     rows = [[float(f"{v:.12g}") for v in row[: k + 1]] for k, row in enumerate(part)]
     return {"parameters": [names[k] for k in columns], "lower": rows}
 
 
-MAX_ITERATIONS = 60  # usually ten suffice
-HUBER_LIMIT = 4.0  # standard deviations beyond which the loss grows linearly
+MAX_ITERATIONS = 60  # of the fit; ten usually suffice
+HUBER_LIMIT = 4.0  # standard deviations beyond which the loss grows linearly; few Gaussian errors are there
 
 
 class Whitener:
-    """Decorrelates residuals: multiplies them by C^(-1/2), C = I + target_std^2 B B^T.
-    All views of a node share its error. B, by_node (n, 2, 3), is the shift of its images per metre of offset
-    of the node, in standard uncertainties.
+    """Multiplies residuals by C^(-1/2), where C = I + target_std^2 B B^T is their covariance.
+    They are correlated because all views of a node share the error of its position on the target. B, given as
+    by_node (n, 2, 3), is the derivative of normalised pixels by the nodes' offsets, 1/m.
     """
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
@@ -186,29 +193,29 @@ class Whitener:
             (B.ravel(), columns.ravel(), np.arange(0, 6 * n + 1, 3)), shape=(2 * n, 3 * count)
         )
         self._Bt = self._B.T.tocsr()
-        # the same as solving for all offsets with a prior, at the cost of a fit without them
+        # equivalent to a fit of all offsets with a prior, but without these parameters
         inner = np.zeros((count, 3, 3))
         np.add.at(inner, np.repeat(node, 2), B[:, :, None] * B[:, None, :])
         size, axes = np.linalg.eigh(inner)
         size = np.maximum(size, 0.0)
-        # C^(-1/2) = 1 - B Q B^T on the three directions that B spans
+        # C^(-1/2) = I - B Q B^T, with a block of 3 x 3 in Q for each node
         root = np.sqrt(1.0 + size)
         self._half = _blocks((axes * (1.0 / (root * (1.0 + root)))[:, None, :]) @ axes.transpose(0, 2, 1))
         self._gain = target_std * _blocks((axes / (1.0 + size)[:, None, :]) @ axes.transpose(0, 2, 1))
 
     def __call__(self, rows: Array) -> Array:
-        """Residuals (2n,) or Jacobian rows (2n, p) without their correlation."""
-        independent: Array = rows - self._B @ (self._half @ (self._Bt @ rows))
-        return independent
+        """Whitened residuals (2n,) or Jacobian (2n, p)."""
+        whitened: Array = rows - self._B @ (self._half @ (self._Bt @ rows))
+        return whitened
 
     def offsets(self, residual: Array) -> Array:
-        """Most probable offsets of the nodes, (highest node + 1, 3), metres, from residuals (2n,)."""
+        """Most probable offsets (largest node + 1, 3) of the nodes, metres, from residuals (2n,)."""
         offsets: Array = (self._gain @ (self._Bt @ residual)).reshape(-1, 3)
         return offsets
 
 
 def _blocks(matrices: Array) -> sparse.csr_array:
-    """Block-diagonal matrix of 3 x 3 blocks."""
+    """Block-diagonal matrix (3n, 3n) of blocks (n, 3, 3)."""
     n = len(matrices)
     columns = np.broadcast_to(3 * np.arange(n)[:, None, None] + np.arange(3), (n, 3, 3))
     return sparse.csr_array(
@@ -217,7 +224,7 @@ def _blocks(matrices: Array) -> sparse.csr_array:
 
 
 def huber(r: Array, limit: float) -> float:
-    """Huber's loss: the sum of squares, growing linearly beyond the limit."""
+    """Huber's loss of residuals: a sum of squares that grows linearly beyond the limit."""
     size = np.abs(r)
     return float(np.sum(np.where(size <= limit, size * size, limit * (2.0 * size - limit))))
 
@@ -229,8 +236,9 @@ def minimise(
     limit: float | None,
     tolerance: float,
 ) -> tuple[Array, float]:
-    """Minimise Huber's loss by Levenberg and Marquardt; returns the parameters (p,) and the loss's limit.
-    If no limit is given, it is four robust standard deviations of the residuals.
+    """Minimise Huber's loss by the method of Levenberg and Marquardt, starting at x (p,).
+    Returns the parameters (p,) and the limit of the loss, by default four robust standard deviations of the
+    residuals. Iteration ends if the predicted relative decrease is below the tolerance.
     """
     damping = 1e-4
     diagonal = np.zeros_like(x)
@@ -241,8 +249,8 @@ def minimise(
         cost = huber(r, scale)
         weight = np.minimum(1.0, scale / np.maximum(np.abs(r), 1e-300))
         gradient = J.T @ (weight * r)
-        # p x p: `scipy.optimize.least_squares` decomposes J at each step, thirty times slower for thousands
-        # of observations; the squared condition number costs steps, not accuracy: steps end with the gradient
+        # p x p normal equations: `scipy.optimize.least_squares` decomposes J at each step, which is thirty
+        # times slower. They square the condition number, which costs steps but no accuracy at the minimum.
         normal = J.T @ (weight[:, None] * J)
         diagonal = np.maximum(diagonal, np.sqrt(np.diag(normal)))
         d = np.where(diagonal > 0.0, diagonal, 1.0)
@@ -271,9 +279,9 @@ class Fit:
     geometry: Geometry  # Cameras, poses and node offsets
     layout: ParameterLayout  # The parameters
     covariance: Array  # (p, p): Of the parameters, scaled by the residuals
-    residual: Array  # (n, 2): Observed less predicted, px
-    scale: float  # Robust standard deviation of the residuals over their stated uncertainty
-    chi2: float  # Robust sum of squares of the independent residuals, in units of the stated uncertainty
+    residual: Array  # (n, 2): Observed minus predicted pixels
+    scale: float  # Robust standard deviation of the whitened residuals
+    chi2: float  # Huber's loss of the whitened residuals
 
 
 def fit(
@@ -286,8 +294,9 @@ def fit(
     noise_scale: float | None = None,
     placed: Sequence[int] = (),
 ) -> Fit:
-    """Fit cameras and poses to all observations; target_std (metres) is the prior of the nodes' offsets.
-    Levenberg-Marquardt with the analytic Jacobian and Huber's loss at four standard deviations.
+    """Fit cameras and poses to all observations, with Huber's loss beyond four standard deviations.
+    `models` to `placed` are as in `layout`. The standard deviation of the nodes' offsets is `target_std`,
+    metres. `noise_scale` is the residuals' standard deviation if known, in units of the stated one.
     """
     o = observations
     plan = layout(o, models, reference, flat, placed)
@@ -296,7 +305,7 @@ def fit(
     whitener: Whitener | None = None
 
     def residual(x: Array) -> Array:
-        r = (predict(moved(start, plan, x), o) - o.pixel).ravel() * inverse
+        r = (predict(stepped(start, plan, x), o) - o.pixel).ravel() * inverse
         return whitener(r) if whitener else r
 
     def with_jacobian(x: Array) -> tuple[Array, Array]:
@@ -307,20 +316,20 @@ def fit(
 
     x = np.zeros(len(plan.names))
     stated_limit = HUBER_LIMIT * noise_scale if noise_scale else None
-    # the limit depends on the residuals, and the whitening on the geometry: a coarse fit first
+    # a coarse fit comes first, because Huber's limit depends on residuals and the whitening on the geometry
     for tolerance in (1e-2, 1e-7):
         if target_std > 0.0:
             whitener = Whitener(o.node, linearised(start, plan, x, o)[2] / o.std[:, None, None], target_std)
         x, limit = minimise(residual, with_jacobian, x, stated_limit, tolerance)
     r, J = with_jacobian(x)
-    # exact points leave no residuals at all, but a covariance of zero is of no use
+    # exact simulated points leave no residuals; keep the covariance above zero
     scale = max(robust_std(r) * np.sqrt(len(r) / max(len(r) - len(x), 1)), 1e-6)
     weight = np.minimum(1.0, limit / np.maximum(np.abs(r), 1e-300))
     normal = J.T @ (weight[:, None] * J)
     d = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     units = np.outer(d, d)
     covariance = scale**2 * np.linalg.pinv(normal * units, rcond=1e-15, hermitian=True) * units
-    geometry = moved(start, plan, x)
+    geometry = stepped(start, plan, x)
     predicted = predict(geometry, o)
     if whitener:
         offset = np.zeros_like(start.offset)

@@ -1,4 +1,8 @@
-"""Start values: each camera from its own views of the target, then all in one frame if these agree."""
+"""Start values of the joint fit: calibrate each camera alone, compare the results, and use one common frame.
+
+`R` and `T` transform from the world to a camera, Xc = R x + T. A pose (R, t) places the target in a camera's
+frame, or one camera's frame in another's.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,44 +19,44 @@ from wavefield.rig.lens import LENS, Array
 Pose = tuple[Array, Array]  # rotation (3, 3), translation (3,), metres
 
 
-def passage(a: Pose, b: Pose) -> Pose:
-    """Transformation from one camera's frame to another's, from the target's pose in each."""
+def camera_to_camera(a: Pose, b: Pose) -> Pose:
+    """Transformation from camera a's frame to camera b's, from the target's pose in each."""
     (Ra, ta), (Rb, tb) = a, b
     R = Rb @ Ra.T
     return R, tb - R @ ta
 
 
 def mean_pose(poses: Iterable[Pose]) -> Pose:
-    """Mean of similar rotations, and median of translations."""
+    """Mean rotation, projected onto a rotation matrix, and median translation."""
     rotations, translations = zip(*poses, strict=True)
     U, _, V = np.linalg.svd(np.mean(np.stack(rotations), axis=0))
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V, np.median(translations, axis=0)
 
 
 def angle_between(A: Array, B: Array) -> float:
-    """Angle of the rotation from one orientation (3, 3) to another, degrees."""
+    """Angle between two orientations (3, 3), degrees."""
     chord = np.linalg.norm(A - B) / np.sqrt(8.0)
     return float(np.degrees(2.0 * np.arcsin(min(chord, 1.0))))
 
 
-MAX_HOMOGRAPHY_MISFIT = 8.0  # px: of an inlier, before the lens distortion is fitted
-MAX_MEDIAN_MISFIT = 0.02  # image widths: of points with known z
-START_TERMS = ("f", "c", "k1")
+MAX_HOMOGRAPHY_MISFIT = 8.0  # px: residual of an inlier, which still contains the lens distortion
+MAX_MEDIAN_MISFIT = 0.02  # image widths: median reprojection error of points with known z
+START_TERMS = ("f", "c", "k1")  # lens terms of a camera calibrated alone
 
 
 @dataclass(frozen=True)
 class SingleCamera:
-    """One camera calibrated on its own."""
+    """One camera, calibrated from its own views."""
 
-    lens: Array  # (12,): `LENS`
-    poses: dict[str, Pose]  # Target to camera for each pose observed
+    lens: Array  # (12,): Lens in the order of `LENS`
+    poses: dict[str, Pose]  # Target to camera, for each pose observed
     spread: float  # Largest angle between two views of the target, degrees
-    deep: bool = False  # Whether nodes of known height determine the focal length, however parallel the views
+    known_heights: bool = False  # Whether nodes of known z determine the focal length, so no tilt is needed
 
 
 def homography(plan: Array, pixel: Array) -> Array | None:
-    """Homography (3, 3) from the target's plane (n, 2), metres, to the image (n, 2), px, without outliers.
-    None if the nodes are on a line, or fewer than half of them fit one homography.
+    """Robust homography (3, 3) from the target's plane (n, 2), metres, to the image (n, 2), px.
+    None if the nodes are on a line, or fewer than half of them fit.
     """
     if len(plan) < 6 or np.linalg.matrix_rank(plan - plan.mean(0), tol=1e-9) < 2:
         return None
@@ -64,9 +68,9 @@ def homography(plan: Array, pixel: Array) -> Array | None:
 
 
 def focal_length(homographies: list[Array], centre: Array) -> float | None:
-    """Focal length, px, from views of a plane, for square pixels and a known principal point.
-    None if the views do not determine it.
-    Zhang (2000): with w = diag(u, u, 1), u = 1/f^2, h1^T w h2 = 0 and h1^T w h1 = h2^T w h2.
+    """Focal length, px, from homographies of a plane; None if they do not determine it.
+    The pixels are square and the principal point (2,) is known. Zhang (2000): with w = diag(u, u, 1) and
+    u = 1/f^2, h1^T w h2 = 0 and h1^T w h1 = h2^T w h2 hold for the columns of each homography.
     """
     shift = np.eye(3)
     shift[:2, 2] = -centre
@@ -83,7 +87,7 @@ def focal_length(homographies: list[Array], centre: Array) -> float | None:
 
 
 def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
-    """A lens without distortion as `LENS` (12,) and as a camera matrix (3, 3)."""
+    """A lens without distortion, as an array in the order of `LENS` (12,) and as a camera matrix (3, 3)."""
     cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
     lens = np.zeros(len(LENS))
     lens[:4] = f, f, cx, cy
@@ -91,10 +95,10 @@ def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
 
 
 def plane_pose(H: Array, K: Array) -> Pose:
-    """Pose of a plane, to the camera of matrix K (3, 3), from its homography."""
+    """Pose of a plane in a camera's frame, from its homography (3, 3) and the camera matrix K (3, 3)."""
     h = np.linalg.solve(K, H)
     h /= 0.5 * (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1]))
-    if h[2, 2] < 0.0:  # in front of the camera
+    if h[2, 2] < 0.0:  # the plane must be in front of the camera
         h = -h
     U, _, V = np.linalg.svd(np.column_stack([h[:, :2], np.cross(h[:, 0], h[:, 1])]))
     rotation: Array = U @ V
@@ -102,14 +106,14 @@ def plane_pose(H: Array, K: Array) -> Pose:
 
 
 def calibrate_single(observations: Observations) -> SingleCamera:
-    """Calibrate one camera on its own: Zhang's method, then a fit."""
+    """Calibrate one camera alone: Zhang's method, then a least-squares fit."""
     o = observations
     start, poses = _from_known_heights(o) if o.placed else _from_planes(o)
     g = _first_fit(o, start, poses).geometry
     fitted = {o.poses[p]: (g.R[0] @ g.pose_R[p], g.R[0] @ g.pose_t[p] + g.T[0]) for p in poses}
     normals = np.stack([R[:, 2] for R, _ in fitted.values()])
     spread = float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)).max()))
-    return SingleCamera(g.lens[0], fitted, spread, deep=bool(o.placed))
+    return SingleCamera(g.lens[0], fitted, spread, known_heights=bool(o.placed))
 
 
 def _first_fit(o: Observations, start: Geometry, poses: list[int]) -> Fit:
@@ -119,7 +123,7 @@ def _first_fit(o: Observations, start: Geometry, poses: list[int]) -> Fit:
 
 
 def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
-    """Geometry of one camera whose frame is the first pose that it found."""
+    """Geometry of one camera, with the first of its poses as the world."""
     pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
     for p, (R, t) in poses.items():
         pose_R[p], pose_t[p] = R, t
@@ -129,14 +133,14 @@ def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
 
 
 def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
-    """Start from views of a plane target in unknown poses (Zhang's method), and the poses found."""
+    """Start values from views of a plane in unknown poses (Zhang's method), and the poses found."""
     (name,), (size,) = o.cameras, o.sizes
     maps: dict[int, Array] = {}
     depth: dict[int, float] = {}
     for p in range(len(o.poses)):
         rows = o.pose == p
-        plan = o.plan[o.node[rows]]
-        # a target of several levels: the fullest of them
+        plan = o.nominal[o.node[rows]]
+        # of a target with two levels, use the one with more nodes
         levels, nodes = np.unique(plan[:, 2].round(9), return_counts=True)
         if not nodes.size:
             continue
@@ -163,10 +167,10 @@ def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
 
 
 def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
-    """Start from nodes in known positions: the focal length with the smallest misfit, and the poses found."""
+    """Start values from nodes in known positions, by a search over focal lengths, and the poses found."""
     (name,), (size,) = o.cameras, o.sizes
     rows = np.isin(o.pose, o.placed)
-    points, pixel = o.plan[o.node[rows]], o.pixel[rows]
+    points, pixel = o.nominal[o.node[rows]], o.pixel[rows]
     if np.ptp(points[:, 2]) <= 0.0:
         raise CalibrationError(
             f"all points of {name} with known z are in one plane, which does not determine its focal length: "
@@ -192,11 +196,11 @@ def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
     count = len(o.poses)
     pose_R, pose_t = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
     poses = sorted(set(o.placed))
-    for p in range(count):  # tilted views in addition to those in known positions
+    for p in range(count):  # the remaining views, with unknown poses
         own = o.pose == p
         if p in o.placed or own.sum() < LIMITS.min_nodes:
             continue
-        ok, rvec, tvec = cv2.solvePnP(o.plan[o.node[own]], o.pixel[own], K, np.zeros(4))
+        ok, rvec, tvec = cv2.solvePnP(o.nominal[o.node[own]], o.pixel[own], K, np.zeros(4))
         if ok:
             view = np.asarray(cv2.Rodrigues(rvec)[0], float)
             pose_R[p], pose_t[p] = R.T @ view, R.T @ (tvec.ravel() - T)
@@ -205,7 +209,7 @@ def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
 
 
 def _in_frame_of_pose(geometry: Geometry, pose: int) -> Geometry:
-    """The geometry of one camera in the frame of one pose of the target."""
+    """Express the geometry of one camera in the frame of one pose of the target."""
     Q, o = geometry.pose_R[pose], geometry.pose_t[pose]
     return replace(
         geometry,
@@ -216,60 +220,58 @@ def _in_frame_of_pose(geometry: Geometry, pose: int) -> Geometry:
     )
 
 
-MAX_ANGLE = (
-    1.5  # degrees, between two cameras' poses of a view: good ones differ by hundredths, wrong ones by 3
-)
-MAX_SHIFT = 0.4  # of a mesh, between the same: a view counted from another node is off by one mesh
+MAX_ANGLE = 1.5  # degrees between a pose found by two cameras: hundredths if consistent, 3 or more if not
+MAX_SHIFT = 0.4  # meshes between the same; counting from a wrong node shifts the pose by one mesh
 
 
 @dataclass(frozen=True)
 class PoseConsistency:
-    """Cameras and views whose poses of the target differ from the others'."""
+    """Cameras and views that found the target in another pose than the other cameras."""
 
     wrong_views: list[tuple[str, str]]  # (camera, pose) of single views that differ from all others
-    wrong_cameras: list[str]  # Cameras that are consistent with no other
-    alone: list[str]  # Cameras that share no view with another
+    wrong_cameras: list[str]  # Cameras outside the largest group of consistent ones
+    unlinked: list[str]  # Cameras that share no pose of the target with another
 
 
 @dataclass(frozen=True)
 class _Pair:
-    """Consistency of two cameras, in total and by view."""
+    """Consistency of two cameras, as a whole and for each pose."""
 
-    consistent: bool
-    good: Mapping[str, bool] = field(default_factory=dict)  # by pose, where they are consistent
+    consistent: bool  # Whether most of their common poses agree
+    good: Mapping[str, bool] = field(default_factory=dict)  # Whether each pose agrees
 
 
-def passages(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
+def by_common_pose(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
     """Transformations from camera a's frame to camera b's, one from each pose that both observed."""
-    return {pose: passage(a.poses[pose], b.poses[pose]) for pose in a.poses if pose in b.poses}
+    return {pose: camera_to_camera(a.poses[pose], b.poses[pose]) for pose in a.poses if pose in b.poses}
 
 
 def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsistency:
-    """Compare the poses of the target that the cameras found each on its own; mesh in metres."""
+    """Compare the target's poses that each camera found alone; mesh in metres."""
     names = list(cameras)
     compared = {(a, b): _compare_pair(cameras[a], cameras[b], mesh) for a, b in combinations(names, 2)}
     pairs = {names: pair for names, pair in compared.items() if pair is not None}
-    alone = [name for name in names if not any(name in pair for pair in pairs)] if len(names) > 1 else []
-    # the largest group of consistent cameras is right; the others are wrong
+    unlinked = [name for name in names if not any(name in pair for pair in pairs)] if len(names) > 1 else []
+    # assume that the largest group of consistent cameras is right
     links = [names for names, pair in pairs.items() if pair.consistent]
     group = max((_linked(name, links) for name in names), key=len, default=[])
     return PoseConsistency(
         _wrong_views(names, pairs),
-        [name for name in names if name not in group and name not in alone],
-        alone,
+        [name for name in names if name not in group and name not in unlinked],
+        unlinked,
     )
 
 
 def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> _Pair | None:
-    """Consistency of two cameras; None where they share no view."""
-    common = passages(a, b)
+    """Consistency of two cameras; None if they share no pose."""
+    common = by_common_pose(a, b)
     if len(common) < 2:
         return _Pair(True) if common else None
     angles = np.array([[angle_between(A, B) for B, _ in common.values()] for A, _ in common.values()])
     medoid = list(common.values())[int(np.argmin(np.median(angles, axis=1)))][0]
     shift = np.median([t for _, t in common.values()], axis=0)
     angle = {pose: angle_between(R, medoid) for pose, (R, _) in common.items()}
-    # translations of oblique views scatter along the sight line: compare them where the target is
+    # translations of oblique views scatter along the sight line: compare them across it, at the target
     offset = {pose: float(np.linalg.norm(_at_target(a, b, pose, medoid, shift))) / mesh for pose in common}
     good = {pose: angle[pose] <= MAX_ANGLE and offset[pose] <= MAX_SHIFT for pose in common}
     count = sum(good.values())
@@ -279,8 +281,8 @@ def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> _Pair | None
 
 
 def _wrong_views(names: Sequence[str], pairs: Mapping[tuple[str, str], _Pair]) -> list[tuple[str, str]]:
-    """Views (camera, pose) that disagree with every other camera; of two cameras, both views."""
-    comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): is it good, once per partner
+    """Views (camera, pose) that agree with no other camera; both views, if only two cameras saw the pose."""
+    comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): agreement with each partner
     for cameras, pair in pairs.items():
         for pose, good in pair.good.items():
             for name in cameras:
@@ -289,13 +291,13 @@ def _wrong_views(names: Sequence[str], pairs: Mapping[tuple[str, str], _Pair]) -
     out = []
     for name, pose in comparisons:
         others = {(n, pose) in wrong for n in names if n != name and (n, pose) in comparisons}
-        if (name, pose) in wrong and len(others) < 2:  # none of the others is, or all of them are
+        if (name, pose) in wrong and len(others) < 2:  # all other views are right, or all are wrong
             out.append((name, pose))
     return out
 
 
 def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
-    """All cameras that are linked with a camera, directly or through others."""
+    """A camera and all that are linked to it, directly or through others."""
     group = [name]
     for member in group:
         partners = [b if a == member else a for a, b in links if member in (a, b)]
@@ -304,7 +306,9 @@ def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) -> Array:
-    """Distance between the target's origins of the two cameras, across b's sight line, metres."""
+    """Distance (3,), metres, between the target's origins by cameras a and b, across b's sight line.
+    R and t transform from camera a's frame to camera b's.
+    """
     expected = R @ a.poses[pose][1] + t
     observed = b.poses[pose][1]
     along = observed / np.linalg.norm(observed)
@@ -313,38 +317,39 @@ def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) 
 
 
 def mirrored(camera: SingleCamera) -> SingleCamera:
-    """The camera as it would have been found from images flipped left to right."""
+    """The camera that images flipped from left to right would give."""
     F, G = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
     return replace(camera, poses={pose: (F @ R @ G, F @ t) for pose, (R, t) in camera.poses.items()})
 
 
-def chained(cameras: Mapping[str, SingleCamera], first: str) -> dict[str, Pose]:
-    """Transformation from the first camera's frame to each camera's, through shared views."""
+def linked_cameras(cameras: Mapping[str, SingleCamera], first: str) -> dict[str, Pose]:
+    """Transformations from the first camera's frame to all others, through common poses of the target."""
     out: dict[str, Pose] = {first: (np.eye(3), np.zeros(3))}
     while True:
-        links = [(len(passages(cameras[a], cameras[b])), a, b) for a in out for b in cameras if b not in out]
+        rest = [b for b in cameras if b not in out]
+        links = [(len(by_common_pose(cameras[a], cameras[b])), a, b) for a in out for b in rest]
         count, a, b = max(links, default=(0, "", ""))
         if not count:
             return out
-        R, t = mean_pose(passages(cameras[a], cameras[b]).values())
+        R, t = mean_pose(by_common_pose(cameras[a], cameras[b]).values())
         Ra, ta = out[a]
         out[b] = R @ Ra, R @ ta + t
 
 
 @dataclass(frozen=True)
 class PhysicalFrame:
-    """The poses that define the physical frame: one fixed pose and others in its plane, or all given."""
+    """The poses of the target that define the physical frame."""
 
-    reference: int
-    flat: tuple[int, ...] = ()
-    placed: tuple[int, ...] = ()
-    level: bool = True  # whether z = 0 is given
+    reference: int  # The pose whose axes are those of the frame
+    flat: tuple[int, ...] = ()  # Poses on z = 0, which may be turned about z and shifted
+    placed: tuple[int, ...] = ()  # Poses whose nodes have known positions in the frame
+    level: bool = True  # Whether these poses define z = 0
 
 
 def physical_frame(observations: Observations, flats: Sequence[str], findings: Findings) -> PhysicalFrame:
-    """The frame of placed or flat views if there are any, else of the view of most cameras."""
+    """Choose the physical frame: that of placed or flat poses, else of the pose that most cameras saw."""
     o = observations
-    if o.placed:  # the frame is that of the stated positions
+    if o.placed:
         return PhysicalFrame(o.placed[0], placed=o.placed)
     flat = tuple(o.poses.index(name) for name in flats if name in o.poses)
     if flat:
@@ -365,12 +370,12 @@ def physical_frame(observations: Observations, flats: Sequence[str], findings: F
 def start_geometry(
     observations: Observations, single: Mapping[str, SingleCamera], frame: PhysicalFrame
 ) -> Geometry:
-    """All cameras and poses in the frame of the reference pose, from each camera's own calibration."""
+    """Express all cameras and poses in the physical frame, from each camera's own calibration."""
     o = observations
     reference = o.poses[frame.reference]
     first = max(single, key=lambda n: (reference in single[n].poses, len(single[n].poses)))
-    links = chained(single, first)
-    in_first: dict[str, Pose] = {}  # poses of the target in the first camera's frame
+    links = linked_cameras(single, first)
+    in_first: dict[str, Pose] = {}  # the target's poses in the first camera's frame
     for p in o.poses:
         found = []
         for name, (R, t) in links.items():
@@ -384,11 +389,11 @@ def start_geometry(
     T = np.stack([links[name][0] @ origin + links[name][1] for name in o.cameras])
     pose_R = np.stack([Q.T @ in_first[p][0] for p in o.poses])
     pose_t = np.stack([Q.T @ (in_first[p][1] - origin) for p in o.poses])
-    for q in frame.flat:  # on the plane exactly: the fit turns them about z only
+    for q in frame.flat:  # exactly on z = 0: the fit only turns and shifts them within the plane
         c, d = pose_R[q][0, 0], pose_R[q][1, 0]
         c, d = c / np.hypot(c, d), d / np.hypot(c, d)
         pose_R[q] = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]])
         pose_t[q, 2] = 0.0
-    for q in frame.placed:  # their nodes are in the physical frame already
+    for q in frame.placed:  # their nodes are given in the physical frame
         pose_R[q], pose_t[q] = np.eye(3), 0.0
     return Geometry(lens, R, T, pose_R, pose_t, np.zeros((len(o.nodes), 3)))

@@ -1,4 +1,7 @@
-"""Find a grid of dots, with or without three rings that mark its origin; blobs and their centres."""
+"""Find a grid of dots, with or without three rings that mark its axes, and the centres of the dots.
+
+A blob is a bright connected shape in an image, a candidate for a dot.
+"""
 
 from dataclasses import dataclass
 
@@ -22,26 +25,25 @@ from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
-MIN_AREA = 6.0  # px^2 within the line through a dot's outermost pixels: it is four pixels wide
-MIN_FULLNESS = (
-    0.7  # a blob's area over that of an ellipse of its moments: 0.95 for a square, 0.83 for a triangle
-)
-MAX_HOLE = 0.6  # of a ring's brightness: that of its middle, where it is thin or blurred
-MIN_CORE = 0.25  # of a dot's contrast: brighter pixels belong to it
-EVEN = 0.8  # of a dot's own brightness: brighter parts of it count alike
+MIN_AREA = 6.0  # px^2 within the outline through a blob's outermost pixels, as of a dot four pixels wide
+# area of a blob over that of the ellipse with its moments: dot 1, square 0.95, triangle 0.83
+MIN_FULLNESS = 0.7
+MAX_HOLE = 0.6  # brightness of a ring's hole relative to the ring, if the ring is thin or blurred
+MIN_CORE = 0.25  # of a dot's contrast; brighter pixels belong to the dot
+MAX_WEIGHT = 0.8  # of a dot's brightness: brighter pixels have equal weight, as paint and light are uneven
 
 
 @dataclass(frozen=True)
 class Blobs:
-    """Bright, closed, nearly elliptic shapes in an image; a ring counts with its hole filled."""
+    """Bright, nearly elliptic shapes in an image."""
 
-    centre: Array  # (n, 2), px
-    area: Array  # (n,), px^2
-    ring: Mask  # (n,): dark in the middle
+    centre: Array  # (n, 2): Centroids, px
+    area: Array  # (n,): Areas with holes filled, px^2
+    ring: Mask  # (n,): Whether the middle is dark
 
 
 def find_blobs(image: Image) -> Blobs:
-    """Shapes brighter than their surroundings, away from the image's edge."""
+    """Find shapes that are brighter than their surroundings and do not touch the image's edge."""
     ground = cv2.blur(image, (2 * (max(image.shape) // 16) + 1,) * 2)
     binary = (cv2.GaussianBlur(image, (0, 0), 1.0) > ground + 0.15 * np.std(image)).astype(np.uint8)
     height, width = image.shape
@@ -66,7 +68,7 @@ def find_blobs(image: Image) -> Blobs:
 
 
 def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
-    """Centroids (n, 2) of bright dots, corrected for uneven light, and their noise (n,), px."""
+    """Centroids (n, 2) of bright dots, corrected for uneven light, and their errors from noise (n,), px."""
     windows = _windows(image, node, pixel)
     level = np.array([np.percentile(value, [10, 98]) for _, _, value in windows])
     middle, extent = pixel.mean(0), np.ptp(pixel)
@@ -79,24 +81,24 @@ def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
     centre, noise = np.empty_like(pixel), np.empty(len(pixel))
     for k, (gx, gy, value) in enumerate(windows):
         ground, bright = (quadratic(np.stack([gx, gy], -1).astype(float)) @ light).T
-        share = (value - ground) / np.maximum(bright - ground, 1.0)
-        background = share < MIN_CORE
-        if background.sum() > 20:  # the remaining unevenness around this dot
+        weight = (value - ground) / np.maximum(bright - ground, 1.0)
+        background = weight < MIN_CORE
+        if background.sum() > 20:  # remove the remaining unevenness around this dot
             plane = np.stack([np.ones(len(gx)), gx - pixel[k, 0], gy - pixel[k, 1]], -1)
-            share = share - plane @ np.linalg.lstsq(plane[background], share[background], rcond=None)[0]
-        own = float(np.median(share[share > 0.5 * np.percentile(share, 98)]))
-        dot = _dilated(gx, gy, share > MIN_CORE * own, pixel[k])
-        share = np.minimum(share / own, EVEN)  # paint and light on a dot are seldom even
-        grain = robust_std(share[~dot])
-        x, y, share = gx[dot].astype(float), gy[dot].astype(float), share[dot]
-        centre[k] = np.array([x @ share, y @ share]) / share.sum()
+            weight = weight - plane @ np.linalg.lstsq(plane[background], weight[background], rcond=None)[0]
+        own = float(np.median(weight[weight > 0.5 * np.percentile(weight, 98)]))
+        dot = _dilated(gx, gy, weight > MIN_CORE * own, pixel[k])
+        weight = np.minimum(weight / own, MAX_WEIGHT)
+        grain = robust_std(weight[~dot])
+        x, y, weight = gx[dot].astype(float), gy[dot].astype(float), weight[dot]
+        centre[k] = np.array([x @ weight, y @ weight]) / weight.sum()
         lever = np.sqrt((((x - centre[k, 0]) ** 2 + (y - centre[k, 1]) ** 2).sum()) / 2)
-        noise[k] = grain * lever / share.sum()
+        noise[k] = grain * lever / weight.sum()
     return centre, noise
 
 
 def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes, Array]]:
-    """Columns, rows and greys of the pixels of each dot's cell: within half a mesh of it."""
+    """Columns, rows and greys of the pixels within half a mesh of each dot."""
     half_mesh = 0.5 * SmoothMap(node, pixel).slopes(node)
     inverse = np.linalg.inv(np.moveaxis(half_mesh, 1, 2))
     reach = np.ceil(np.abs(half_mesh).sum(1)).astype(int)
@@ -113,7 +115,7 @@ def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes
 
 
 def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
-    """The connected part of a mask (n,) of pixels that is nearest to a point, widened by three pixels."""
+    """The connected part of a mask (n,) that is nearest to the point `at` (2,), dilated by three pixels."""
     row, column = y - y.min() + 4, x - x.min() + 4
     raster = np.zeros((row.max() + 5, column.max() + 5), np.uint8)
     raster[row, column] = mask
@@ -125,7 +127,7 @@ def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
 
 
 def centroid_bias(node: Nodes, pixel: Array, radius: float) -> Array:
-    """Centroid of the image of a disc (radius in meshes) minus the image of its centre, (n, 2), px."""
+    """Centroid of the image of a disc (radius in meshes) minus the image of the disc's centre, (n, 2), px."""
     smooth = SmoothMap(node, pixel)
     rings, spokes = 4, 12
     r = radius * np.sqrt((np.arange(rings) + 0.5) / rings)  # rings of equal area
@@ -139,16 +141,17 @@ def centroid_bias(node: Nodes, pixel: Array, radius: float) -> Array:
 
 
 def shape_of(target: Target) -> tuple[int, int]:
-    """Number of nodes along x and y of a target whose shape is stated."""
-    assert target.shape is not None  # Target refuses these kinds without a shape
+    """Number of nodes along x and y."""
+    assert target.shape is not None  # `Target` requires the shape for the kinds that call this
     return target.shape
 
 
 def right_handed(
     image: Image | None, node: Nodes, pixel: Array, shape: tuple[int, int]
 ) -> tuple[Nodes, tuple[str, ...]]:
-    """Indices of a full grid, right-handed seen from above, and a note if the target looks alike when turned.
-    The image of a chessboard decides: its square between nodes (0, 0) and (1, 1) is dark.
+    """Number a complete grid right-handed seen from above; returns the indices (n, 2) and notes.
+    If the target looks the same when turned, x points to the right in the image, and a note says so. The
+    image of a chessboard excludes turns: the square between nodes (0, 0) and (1, 1) is dark.
     """
     last = np.array(shape) - 1
     if cross(*SmoothMap(node, pixel).slopes(last[None] / 2)[0]) > 0:
@@ -184,10 +187,11 @@ def _first_square_dark(image: Image, node: Nodes, pixel: Array, shape: tuple[int
 def dot_centres(
     image: Image, node: Nodes, pixel: Array, target: Target, meshes: int = 1
 ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Centres of dots (n, 2), px, their uncertainty from noise (n,), and notes; nodes are `meshes` apart.
-    In perspective a disc's centroid is not its centre's image: the difference is integrated and subtracted.
+    """Centres of dots (n, 2), px, their errors from noise (n,), px, and notes.
+    Neighbouring nodes are `meshes` meshes apart. In perspective the centroid of a disc's image is not the
+    image of its centre; the difference is computed and subtracted.
     """
-    centre, noise = centroids(image, meshes * node, pixel)  # in cells of one mesh
+    centre, noise = centroids(image, meshes * node, pixel)  # with windows of one mesh
     if target.diameter is None:
         return centre, noise, ("centroids not corrected for perspective: state the target's diameter",)
     radius = 0.5 * target.diameter / target.mesh / meshes
@@ -197,7 +201,9 @@ def dot_centres(
 def make_points(
     image: Image, node: Nodes, pixel: Array, notes: tuple[str, ...] = (), noise: Array | float = 0.0
 ) -> TargetPoints:
-    """Target points without outliers; their uncertainty is the larger of noise and misfit of a smooth map."""
+    """Target points without outliers.
+    Their standard uncertainty is the larger of `noise`, px, and the residual from a smooth map.
+    """
     try:
         smooth = SmoothMap(node, pixel)
     except ValueError:
@@ -214,8 +220,8 @@ def make_points(
 
 
 def numbered_from_rings(node: Nodes, pixel: Array, rings: Nodes) -> Nodes:
-    """Indices of nodes (n, 2) counted from the ring at the right angle, right-handed seen from above.
-    CalibrationError unless the rings are three whose arms follow the rows and columns.
+    """Number nodes (n, 2) from the ring at the corner of the three rings, right-handed seen from above.
+    Raises a CalibrationError unless there are three rings, along one row and one column of the grid.
     """
     if len(rings) != 3:
         raise CalibrationError(
@@ -229,14 +235,14 @@ def numbered_from_rings(node: Nodes, pixel: Array, rings: Nodes) -> Nodes:
             x, y = np.sign(x_arm), np.sign(y_arm)
             slopes = smooth.slopes(origin[None])[0]
             along_axes = np.abs(x).sum() == np.abs(y).sum() == 1 and x @ y == 0
-            if along_axes and cross(x @ slopes, y @ slopes) < 0:  # rows of images run downwards
+            if along_axes and cross(x @ slopes, y @ slopes) < 0:  # image rows run downwards
                 return np.asarray((node - origin) @ np.stack([x, y], -1))
     raise CalibrationError("the three rings do not stand at a right angle along the rows and columns of dots")
 
 
 def find_dots(image: Image, target: Target) -> TargetPoints:
     """Find the centres of a rectangular grid of round dots, dark on bright or bright on dark.
-    Three rings number a grid that may be partly out of view; without them all of it must be in view.
+    A grid with three rings may be partly out of view; without rings, all of it must be in view.
     """
     grids = []
     for polarity in (image, 255.0 - image):
@@ -260,7 +266,7 @@ def find_dots(image: Image, target: Target) -> TargetPoints:
 
 
 def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> tuple[Nodes, tuple[str, ...]]:
-    """Indices (n, 2) of a grid of which all dots were found, and notes."""
+    """Number a grid of which all dots were found; returns the indices (n, 2) and notes."""
     node = node - node.min(0)
     span = node.max(0) + 1
     if sorted(span) != sorted(shape) or len(node) != np.prod(shape):
@@ -275,7 +281,7 @@ def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> t
 
 
 def dot_lattice(blobs: Blobs, size: tuple[int, ...]) -> TargetLattice | None:
-    """The largest lattice grown from dots near the middle and their nearest neighbours; None if too small."""
+    """The largest lattice grown from dots near the middle and their neighbours; None if it is too small."""
     centre = blobs.centre
     if len(centre) < LIMITS.min_nodes:
         return None

@@ -1,4 +1,8 @@
-"""Marks in an image ordered as a lattice of nodes, and the smooth map from nodes to pixels."""
+"""Order marks of an image as a lattice of nodes, and fit a smooth map from node indices to pixels.
+
+A lattice grows from a seed, one node with its two mesh vectors, by one ring of neighbours after another. A
+mesh vector is the step in the image, px, from a node to the next along i or j.
+"""
 
 from dataclasses import dataclass
 
@@ -14,26 +18,25 @@ from wavefield.parabola import parabola_vertex
 from wavefield.rig.lens import Array
 from wavefield.robust import reweighted_lstsq, robust_std
 
-MAX_SEEDS = 12  # nodes near the middle from which a lattice is grown: some of them may be dirt
-REACH = 100  # nodes a lattice may extend from its seed in each direction
-MAX_MISFIT = 0.22  # meshes between a node and its prediction
-MIN_STRENGTH = 0.4  # of a node, relative to those around it
-MIN_SINE = 0.3  # of the angle between the two vectors of a seed
+MAX_SEEDS = 12  # candidate seeds to try, as some of them may be dirt
+REACH = 100  # largest index of a node relative to its seed
+MAX_MISFIT = 0.22  # meshes between a node and its prediction; tuned on simulated string grids
+MIN_STRENGTH = 0.4  # of a node, relative to the mean of its neighbours
+MIN_SINE = 0.3  # of the angle between the two vectors of a seed: 17 degrees
 WINDOW = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3), indexing="ij"), -1).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Places that may be nodes: crossings of bright strings at one scale, or dots."""
+    """Candidate nodes: crossings of bright strings at one smoothing scale, or dots."""
 
     pixel: Array  # (n, 2): Positions (X, Y), px
-    # (n,): Curvature across the weaker of the two strings, grey per px^2; area of a dot, px^2
-    strength: Array
+    strength: Array  # (n,): Curvature across the weaker string, grey per px^2; of a dot its area, px^2
     scale: float  # Standard deviation of the smoothing, px
 
     @property
     def strong(self) -> Mask:
-        """Which candidates are at least half as strong as the median of the 80 strongest."""
+        """Which candidates are more than half as strong as the median of the 80 strongest."""
         return self.strength > 0.5 * _typical_strength(self.strength)
 
 
@@ -42,8 +45,9 @@ def _typical_strength(strength: Array) -> float:
 
 
 def crossings(image: Image, scale: float) -> Candidates:
-    """Local maxima of the weaker curvature of the image smoothed by a Gaussian of a scale (px).
-    It vanishes along a plain line: only crossings of two lines, and blobs, are bent both ways.
+    """Candidate crossings: local maxima of the weaker principal curvature of the smoothed image.
+    That curvature vanishes along a line; only crossings and blobs are curved in both directions. `scale` is
+    the standard deviation of the Gaussian, px.
     """
     r = int(np.ceil(4 * scale))
     t = np.arange(-r, r + 1)
@@ -76,7 +80,7 @@ def crossings(image: Image, scale: float) -> Candidates:
 
 @compiled()
 def _weaker_curvature(xx: Image, yy: Image, xy: Image) -> Image:
-    """The weaker of the two principal curvatures of each pixel, positive on bright crossings and blobs."""
+    """Weaker principal curvature of each pixel, (row, column); positive on bright crossings and blobs."""
     half = np.float32(0.5)
     out = np.empty_like(xx)
     for i in range(xx.shape[0]):
@@ -101,25 +105,25 @@ def independent_pair(arms: Array) -> tuple[Array, Array] | None:
 
 
 def most_central(points: Array, count: int) -> list[int]:
-    """Which of the points (n, 2) are nearest to their median."""
+    """Indices of the `count` points (n, 2) that are nearest to their median."""
     order: list[int] = np.argsort(np.hypot(*(points - np.median(points, 0)).T))[:count].tolist()
     return order
 
 
 def around(node: Nodes, steps: Nodes) -> Nodes:
-    """Nodes at given steps (m, 2) from some nodes, without repeats, (k, 2)."""
+    """Nodes (k, 2) at given steps (m, 2) from given nodes (n, 2), without duplicates."""
     return np.unique((node[:, None] + steps).reshape(-1, 2), axis=0)
 
 
 def _windows(table: Array, node: Nodes) -> Array:
-    """Entries of a table over indices within two of each node, (m, 25, ...)."""
+    """Entries of a table of nodes within two indices of each node, (m, 25, ...)."""
     index = node[:, None] + WINDOW + REACH
     out: Array = table[index[..., 0], index[..., 1]]
     return out
 
 
 class TargetLattice:
-    """Positions of nodes over a square of indices, grown from a seed: a node and its mesh vectors."""
+    """Pixels of nodes in a square table of indices, grown from a seed: pixel (2,) and mesh vectors (2,)."""
 
     def __init__(self, start: Array, e1: Array, e2: Array) -> None:
         self.place = np.full((2 * REACH + 1, 2 * REACH + 1, 2), np.nan)  # [i + REACH, j + REACH], px
@@ -142,19 +146,20 @@ class TargetLattice:
 
     @property
     def pixel(self) -> Array:
-        """Their positions, (n, 2), px, in the order of `node`."""
+        """Pixels of the nodes, (n, 2), in the order of `node`."""
         out: Array = self.place[self.filled]
         return out
 
     def front(self) -> Nodes:
-        """Empty nodes that have a filled neighbour: indices (m, 2)."""
+        """Indices (m, 2) of empty nodes that have a filled neighbour."""
         near = cv2.dilate(self.filled.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
         empty = np.argwhere((near > 0) & ~self.filled)
         return empty[((empty >= 2) & (empty < 2 * REACH - 1)).all(1)] - REACH
 
     def predict(self, node: Nodes) -> tuple[Array, Array]:
-        """Positions (m, 2) and mesh vectors (m, 2, 2), px, of nodes from those filled within two indices.
-        Quadratic surface, weights falling with distance; the seed's vectors are a weak prior of its slopes.
+        """Predict pixels (m, 2) and mesh vectors (m, 2, 2), px, from nodes within two indices.
+        The fit is a quadratic surface with weights that fall with distance. The seed's vectors are a weak
+        prior of the slopes.
         """
         di, dj = WINDOW.astype(float).T
         basis = np.stack([np.ones(25), di, dj, di * dj, di * di, dj * dj], -1)
@@ -170,7 +175,7 @@ class TargetLattice:
         return fit[:, 0], fit[:, 1:3]
 
     def grow(self, candidates: Candidates, size: tuple[int, ...]) -> None:
-        """Extend the lattice ring by ring by the candidates near predicted nodes, until none is left."""
+        """Add candidates near predicted nodes until none is left; `size` is the image's (width, height)."""
         tree = cKDTree(candidates.pixel)
         used = np.zeros(len(candidates.pixel) + 1, bool)
         used[-1] = True  # the tree's index for "none"
@@ -190,15 +195,15 @@ class TargetLattice:
             nearby = _windows(strengths, front)
             usual = nearby.sum(1) / np.maximum((nearby > 0).sum(1), 1)
             strength = np.where(strength > MIN_STRENGTH * usual[:, None], strength, 0.0)
-            # the strongest of those near, so that a faint reflection next to a string is passed over
+            # strength counts as well as distance: the reflection of a string may be nearer, but it is fainter
             closeness = 1 - np.minimum(distance / reach[:, None], 1) ** 2
-            merit = np.where(used[choice], 0.0, strength * closeness)
-            best = merit.argmax(1)
-            merit = merit[np.arange(len(front)), best]
+            score = np.where(used[choice], 0.0, strength * closeness)
+            best = score.argmax(1)
+            score = score[np.arange(len(front)), best]
             filled_any = False
-            for k in np.argsort(-merit, kind="stable"):
+            for k in np.argsort(-score, kind="stable"):
                 c = choice[k, best[k]]
-                if merit[k] > 0 and not used[c]:
+                if score[k] > 0 and not used[c]:
                     used[c] = filled_any = True
                     index = tuple(front[k] + REACH)
                     self.place[index], strengths[index] = candidates.pixel[c], candidates.strength[c]
@@ -206,18 +211,18 @@ class TargetLattice:
                 return
 
 
-MIN_NODES_FOR_CUBIC = 40  # four times its coefficients
+MIN_NODES_FOR_CUBIC = 40  # four times the ten coefficients of a cubic
 
 
 class SmoothMap:
-    """Smooth map from indices of nodes (n, 2) to pixels (n, 2), px, that a few outliers do not change.
-    A homography, and a cubic of its pixels for the lens distortion: radial distortion is a cubic in pixels,
-    not in indices, whatever the obliquity of the target. ValueError if there is no homography.
+    """Robust smooth map from node indices (n, 2) to pixels (n, 2).
+    A homography gives ideal pixels; a cubic polynomial of these adds the lens distortion, because radial
+    distortion is cubic in pixels however oblique the target is. Raises a ValueError without a homography.
     """
 
     def __init__(self, node: ArrayLike, pixel: ArrayLike) -> None:
         node, pixel = np.asarray(node, float), np.asarray(pixel, float)
-        tolerance = max(1.0, 0.1 * mesh_length(node, pixel))  # px: distortion is no outlier
+        tolerance = max(1.0, 0.1 * mesh_length(node, pixel))  # px: wide enough for the lens distortion
         matrix, vote = cv2.findHomography(node, pixel, cv2.RANSAC, tolerance)
         if matrix is None:
             raise ValueError("no homography")
@@ -237,11 +242,11 @@ class SmoothMap:
 
         q = self._homography(node)
         self.cubic, rest = reweighted_lstsq(self._basis(q), pixel - q, inlier.astype(float), reweight, 8)
-        self.misfit: Array = np.hypot(*rest.T)  # distance of each node from its place, px
+        self.misfit: Array = np.hypot(*rest.T)  # distance of each node from the map, px
         self.spread = spread(self.misfit)  # px
 
     def inlier(self, std: Array | float = 0.0) -> Mask:
-        """Which nodes are no outliers, given their standard uncertainties, px."""
+        """Which nodes (n,) are not outliers, given their standard uncertainties, px."""
         out: Mask = self.misfit < np.maximum(OUTLIER_DEVIATIONS * np.hypot(self.spread, std), MIN_OUTLIER_PX)
         return out
 
@@ -255,13 +260,13 @@ class SmoothMap:
         return np.stack([x**a * y**b for a, b in self.powers], -1)
 
     def __call__(self, node: ArrayLike) -> Array:
-        """Positions of nodes, (n, 2), px."""
+        """Pixels (n, 2) of nodes (n, 2), whose indices may be fractions."""
         q = self._homography(np.asarray(node, float))
         out: Array = q + self._basis(q) @ self.cubic
         return out
 
     def slopes(self, node: ArrayLike) -> Array:
-        """Mesh vectors at nodes, (n, 2, 2): [:, 0] along i, [:, 1] along j, px."""
+        """Mesh vectors at nodes (n, 2), px, as (n, 2, 2): [:, 0] along i, [:, 1] along j."""
         node = np.asarray(node, float)
         return np.stack([self(node + half) - self(node - half) for half in 0.5 * np.eye(2)], 1)
 

@@ -1,4 +1,8 @@
-"""Placing and levelling the cameras of an experiment by images of moving water."""
+"""Bring z = 0 to the mean surface of moving water, and place a second camera, from an experiment's images.
+
+Levelling turns and shifts the physical frame. The level comes from the horizon if the images show it, and
+else from the mean surface of many instants.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.calibration.observations import MIN_MATCHES
-from wavefield.calibration.platform import PlatformFit, find_horizon, fit_platform, leave_out, sway
+from wavefield.calibration.platform import PlatformFit, find_horizon, fit_platform, jackknife_std, sway
 from wavefield.calibration.relative_pose import (
     MAX_EPIPOLAR_ERROR,
     Pixels,
@@ -25,9 +29,9 @@ from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, masks
 from wavefield.text import spell_uncertain
 
-HORIZON_IMAGES = 12  # of each camera
-TILT_STD = 1.0  # degrees, of the mean surface where instants do not tell it
-MAX_SWAY = 0.05  # degrees: 0.4 px of a surface 36 m away from 12 m up
+HORIZON_IMAGES = 12  # images of each camera that are searched for the horizon
+TILT_STD = 1.0  # degrees, of the mean surface, if the instants are too few to determine it
+MAX_SWAY = 0.05  # degrees rms; it moves water at a distance of 36 m, seen from 12 m above, by 0.4 px
 
 
 @dataclass(frozen=True)
@@ -35,16 +39,16 @@ class Levelled:
     """A rig in the frame of the water's mean surface."""
 
     rig: Rig  # z = 0 on the mean surface, z up
-    tilt: float  # By how much z was turned, degrees
-    tilt_std: float  # Its standard uncertainty; NaN where all instants show the same waves and no horizon
+    tilt: float  # Angle by which the z axis was turned, degrees
+    tilt_std: float  # Its standard uncertainty; NaN without a horizon if all instants show the same waves
     height: float  # Of the first camera above the mean surface, metres
-    height_std: float  # Without that of a stated distance; NaN where all instants show the same waves
-    rms: float  # Of the points about the plane, metres
+    height_std: float  # Excludes the error of a stated distance; NaN if all instants show the same waves
+    rms: float  # Elevation of the points about the mean surface, metres
     epipolar_error: float  # Median distance of the matches from their epipolar lines, px
     points: int  # Number of points used
-    instants: int
-    horizon: str  # What levelled the rig, in words
-    sway: float = float("nan")  # Roll and pitch of the cameras from frame to frame, degrees, rms
+    instants: int  # Number of instants used
+    horizon: str  # Whether the horizon or the mean surface gave the level, in words
+    sway: float = float("nan")  # Rms roll or pitch from frame to frame, degrees; NaN without a horizon
 
     @property
     def sentence(self) -> str:
@@ -61,7 +65,7 @@ class Levelled:
 
     @property
     def _moving(self) -> str:
-        """A sentence saying that one rig does not fit all frames, if the cameras sway."""
+        """A sentence on the sway of the cameras; empty if they are fixed."""
         if not self.sway > MAX_SWAY:
             return ""
         return (
@@ -71,7 +75,7 @@ class Levelled:
 
     @property
     def _unknown(self) -> str:
-        """A sentence naming what has no uncertainty, and why."""
+        """A sentence on unknown uncertainties; empty if all are known."""
         if np.isfinite(self.height_std):
             return ""
         which = "height" if np.isfinite(self.tilt_std) else "tilt and the height"
@@ -87,8 +91,9 @@ def level_on_water(
 ) -> Levelled:
     """Bring z = 0 to the mean surface of moving water, from matches of pairs of cameras at each instant.
 
-    Points of the horizon (n, 2), px, by camera, give the vertical, unless the mean surface contradicts them;
-    with a distance, metres, the second camera is placed by the same fit, and the origin is below the cameras.
+    Points of the horizon (n, 2), px, by camera, give the vertical, unless the mean surface contradicts them.
+    If a distance between the cameras (metres) is given, the fit also refines the pose of the second camera,
+    and the origin is below the cameras. Raises a RigError if too few sight lines meet.
     """
     none = np.empty((0, 3))
     surfaces = [
@@ -113,7 +118,7 @@ def level_on_water(
     fit, (tilt_std, height_std), sentence = _best_fit(start, matches, horizons or {}, distance)
     if distance is None:
         along, origin = axes[:, 0], rig[name].centre - axes @ levelled[name].centre
-    else:  # the frame of a rig that knew no poses: below the cameras, x to the right, y away from them
+    else:  # the rig had no poses: put the origin below the cameras, x to the right and y away from them
         along = rig[name].R[0]
         origin = np.mean([camera.centre for camera in fit.cameras.values()], axis=0)
     origin = origin - (fit.up @ origin + fit.offset) * fit.up
@@ -151,9 +156,9 @@ def _best_fit(
     horizons: Mapping[str, Array],
     distance: float | None,
 ) -> tuple[PlatformFit, tuple[float, float], str]:
-    """The fit, the uncertainties of tilt (degrees) and height (m), and what the level is based on."""
+    """The fit, the uncertainties of tilt (degrees) and height (m), and a sentence on what gave the level."""
     free = fit_platform(start, matches, {}, distance)
-    std = leave_out(free, matches, {}, distance)
+    std = jackknife_std(free, matches, {}, distance)
     if not horizons:
         return free, std, "no horizon was found, so the mean surface is the level"
     fit = fit_platform(free, matches, horizons, distance)
@@ -164,12 +169,12 @@ def _best_fit(
             "and was not used: the mean surface is the level"
         )
         return free, std, sentence
-    of_horizon = leave_out(fit, matches, horizons, distance)
-    return fit, of_horizon, f"the horizon in {', '.join(horizons)} gives the vertical"
+    std = jackknife_std(fit, matches, horizons, distance)
+    return fit, std, f"the horizon in {', '.join(horizons)} gives the vertical"
 
 
 def _epipolar_error(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> float:
-    """Median distance of the true matches from their epipolar lines, px."""
+    """Median distance of matches from their epipolar lines, px, without those above the limit."""
     distances = [
         epipolar_distance(rig[a], rig[b], *p.T, *q.T)
         for by_pair in matches
@@ -196,25 +201,26 @@ def level_experiment(
     Parameters
     ----------
     experiment : path or Experiment
-        Of cameras that see natural texture from not too different sides.
+        Its cameras must see natural texture from similar directions.
     rig : path, optional
-        In place of the one that the experiment names; its frame may be any, such as that of a camera.
+        A rig to use instead of the experiment's. Its frame is arbitrary, for example that of a camera.
     distance : float, optional
-        Between two cameras, metres: the second one's pose is computed from common features; only its lens is
-        used.
+        Distance between the two cameras, metres. If it is given, matched features give the second camera's
+        pose, and the rig's own pose is ignored.
     frames : int
-        Instants to use, spread over the record.
+        Number of instants to use, spread over the record.
     progress : callable, optional
-        Called with (instants done, all instants).
+        Called with (instants done, number of instants).
 
     Returns
     -------
     Levelled
+        The rig with z = 0 on the mean surface, and its tilt and height with standard uncertainties.
 
     Raises
     ------
     RigError
-        If the cameras share too few features, or are in one place and no distance is stated.
+        If too few features match, or if all cameras are at one position and no distance is given.
 
     Examples
     --------

@@ -1,4 +1,8 @@
-"""The plane of a light sheet, from the particles that two cameras see in it."""
+"""Find the plane of a light sheet from images of the particles in it (self-calibration of stereo PIV).
+
+The images are dewarped onto z = 0. If the sheet is elsewhere, the dewarped images of two cameras are shifted
+against each other; this shift is the disparity. Correlations in windows, summed over instants, measure it.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,15 +26,15 @@ from wavefield.rig.rig import pairs_of
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment
 
-LIGHT_SCALE = 4.0  # px: variations wider than a few particles are illumination
-MAX_BRIGHTNESS = 4.0  # standard deviations: brighter particles are limited to this
-SMOOTHING = 1.5  # px: of the correlation, so that single particles do not make peaks of their own
-PEAK_LEVEL = 0.5  # of the maximum: correlations above it belong to the peak
-MIN_PEAK = 6.0  # standard deviations of the correlation around the peak, for a peak to be significant
+LIGHT_SCALE = 4.0  # px: wider variations of brightness are illumination, not particles
+MAX_BRIGHTNESS = 4.0  # standard deviations: limit of brightness, so that few bright particles do not dominate
+SMOOTHING = 1.5  # px: standard deviation of the Gaussian that joins the peaks of single particles
+PEAK_LEVEL = 0.5  # of the maximum; correlations above it belong to the peak
+MIN_PEAK = 6.0  # height of a significant peak, in standard deviations of the correlation around it
 
 
 def particles(image: Image, visible: Mask) -> Image:
-    """The particles of an image: illumination removed, brightness limited; 0 where nothing is visible."""
+    """The particles of an image: illumination removed and brightness limited; 0 outside `visible`."""
     weight = cv2.GaussianBlur(visible.astype(np.float32), (0, 0), LIGHT_SCALE)
     light = cv2.GaussianBlur(np.where(visible, image, np.float32(0)), (0, 0), LIGHT_SCALE)
     rest = np.where(visible, image - light / np.maximum(weight, 1e-3), np.float32(0))
@@ -43,11 +47,11 @@ def particles(image: Image, visible: Mask) -> Image:
 
 @dataclass
 class Correlation:
-    """Sum over instants of the correlations of windows of two images."""
+    """Cross-correlations of two images in windows, summed over instants."""
 
-    rows: Sequence[int]  # First pixel of the windows, in rows and columns of them
-    columns: Sequence[int]
-    side: int  # Of the windows, px
+    rows: Sequence[int]  # First image row of each row of windows
+    columns: Sequence[int]  # First image column of each column of windows
+    side: int  # Of the square windows, px
 
     def __post_init__(self) -> None:
         half = self.side // 2 + 1
@@ -57,7 +61,7 @@ class Correlation:
         self._taper = np.sqrt(np.outer(edge, edge)).astype(np.float32)
 
     def add(self, a: Image, b: Image) -> None:
-        """Add one instant's images, as `particles` returns them."""
+        """Add the images of one instant, as `particles` returns them."""
         for i, row in enumerate(self.rows):
             lines = slice(row, row + self.side)
             pieces = np.stack([[q[lines, c : c + self.side] for c in self.columns] for q in (a, b)])
@@ -65,7 +69,7 @@ class Correlation:
             self._sum[i] += np.conj(spectrum[0]) * spectrum[1]
 
     def planes(self) -> Image:
-        """Correlation of every window, (rows, columns, side, side), with zero displacement in the middle."""
+        """Correlation in each window, (rows, columns, side, side), with zero displacement in the middle."""
         plane = scipy.fft.fftshift(scipy.fft.irfft2(self._sum, s=(self.side, self.side)), axes=(-2, -1))
         out = np.ascontiguousarray(plane, np.float32)
         for one in _each(out):
@@ -78,12 +82,12 @@ def _each(planes: Image) -> Iterator[Image]:
 
 
 def disparities(planes: Image) -> Array:
-    """Displacement (n, m, 2), px along x and y, of the second image in windows (n, m, side, side)."""
+    """Displacement of the second image, (n, m, 2), px along x and y, from correlations (n, m, side, side)."""
     return np.array([_centre(one) for one in _each(planes)]).reshape(*planes.shape[:2], 2)
 
 
 def _centre(plane: Image) -> tuple[float, float]:
-    """Centroid of the peak above half its maximum, px; NaN if insignificant or at the plane's edge."""
+    """Centroid of the correlation peak, px; NaN if the peak is insignificant or at the window's edge."""
     middle, peak = plane.shape[0] // 2, _peak(plane)
     background = plane[~cv2.dilate(peak.view(np.uint8), np.ones((9, 9), np.uint8)).view(bool)]
     if not background.size or plane.max() - np.median(background) < MIN_PEAK * background.std():
@@ -96,17 +100,17 @@ def _centre(plane: Image) -> tuple[float, float]:
 
 
 def _peak(plane: Image) -> Mask:
-    """The connected samples around the maximum that exceed half of it."""
+    """Connected samples around the maximum that exceed half of it."""
     top = np.unravel_index(int(plane.argmax()), plane.shape)
     _, parts = cv2.connectedComponents((plane > PEAK_LEVEL * plane.max()).astype(np.uint8))
     return np.asarray(parts == parts[top])
 
 
-Read = Callable[[str, int], NDArray[np.generic] | None]  # an image by camera and frame
+Read = Callable[[str, int], NDArray[np.generic] | None]  # reads the image of a camera at a frame
 
 
 class SheetWindows:
-    """Disparity of each pair of cameras in windows of the dewarped images, from all instants together."""
+    """Disparity of each pair of cameras in windows of the dewarped images, from all instants."""
 
     def __init__(self, rig: Rig, side: int, read: Read, instants: Sequence[int]) -> None:
         self.rig = rig
@@ -129,7 +133,7 @@ class SheetWindows:
         self._disparities = {pair: disparities(total.planes()) for pair, total in self._correlations.items()}
 
     def _add(self, read: Read, instants: Sequence[int], x: Array, y: Array) -> int:
-        """Correlate all instants; returns how many had the images of a pair."""
+        """Add the correlations of all instants; returns the number of instants with images of a pair."""
         maps = {name: sight_map(self.rig[name], x, y) for name in self.rig}
         used = 0
         for k in instants:
@@ -145,7 +149,7 @@ class SheetWindows:
         return used
 
     def matches(self) -> dict[str, Array]:
-        """Pixels of the same places of the sheet in each camera, (windows, 2); NaN where there is none."""
+        """Pixels of the same points of the sheet in each camera, (windows, 2); NaN without a disparity."""
         reference = self.pairs[0][0]
         out = {reference: self._pixels(reference, np.zeros((*self.x.shape, 2)))}
         out |= {name: self._pixels(name, shift) for (_, name), shift in self._disparities.items()}
@@ -161,7 +165,7 @@ class SheetWindows:
         return float(np.sqrt(np.nanmean(squares)))
 
 
-SIDES = 128, 64, 64  # px: of the windows, pass after pass; a fourth changes nothing
+SIDES = 128, 64, 64  # px: side of the windows in each pass; a fourth pass changes nothing
 
 
 @dataclass(frozen=True)
@@ -171,13 +175,13 @@ class LightSheet:
     rig: Rig  # z = 0 in the middle of the sheet
     height: float  # Of the sheet above the old z = 0, at the origin, metres
     slope: tuple[float, float]  # Of the sheet in the old frame, along x and y
-    disparity_before: float  # Of the dewarped images, rms, px
-    disparity: float  # After the correction
+    disparity_before: float  # Rms disparity, px
+    disparity: float  # Rms disparity after the correction, px
     check: RigCheck  # Whether a camera had moved
     windows: int  # Number of windows used
-    instants: int
-    # By how much all positions in the sheet may be shifted together, metres: two cameras do not show which of
-    # them has moved, nor by how much along their parallax; 0 where none has moved, or three cameras show it
+    instants: int  # Number of instants used
+    # Possible common shift of all positions in the sheet, metres. Two cameras do not show which of them has
+    # moved, nor how far along their parallax. It is 0 if none has moved, or if a third camera shows which.
     position_ambiguity: float = 0.0
 
     @property
@@ -214,22 +218,23 @@ def find_sheet(
     frames: int = 50,
     progress: Callable[[int, int], None] | None = None,
 ) -> LightSheet:
-    """Bring z = 0 to a light sheet, and correct a camera that has moved, from the particles themselves.
+    """Bring z = 0 to a light sheet, and correct a camera that has moved, from images of the particles.
 
     Parameters
     ----------
     experiment : path or Experiment
-        Of cameras that see one light sheet.
+        Its cameras must see one light sheet.
     rig : path, optional
-        In place of the one that the experiment names; calibrated on a target near the sheet.
+        A rig to use instead of the experiment's, calibrated on a target near the sheet.
     frames : int
-        Instants to use, spread over the record.
+        Number of instants to use, spread over the record.
     progress : callable, optional
-        Called with (passes over the instants done, most that there are).
+        Called with (passes over the images done, number of passes).
 
     Returns
     -------
     LightSheet
+        The corrected rig, and the height (metres) and slope of the sheet in the old frame.
 
     Raises
     ------
@@ -253,8 +258,8 @@ def find_sheet(
 def fit_sheet(
     read: Read, instants: Sequence[int], rig: Rig, progress: Callable[[int, int], None] | None = None
 ) -> LightSheet:
-    """Find the light sheet from images that a function returns (Wieneke 2005, Exp. Fluids 39, 267).
-    Each round corrects the cameras and moves z = 0 to the sheet, until dewarped images show no disparity.
+    """Find the light sheet in images that `read` returns (Wieneke 2005, Exp. Fluids 39, 267).
+    Each pass measures the disparity, corrects the cameras and moves z = 0 to the sheet.
     """
     axes, origin, ambiguity = np.eye(3), np.zeros(3), 0.0
     check: RigCheck | None = None
@@ -278,7 +283,7 @@ def fit_sheet(
         rig, correction, plane = refine_and_level(rig, matches)
         origin, axes = origin + axes @ np.array([0.0, 0.0, plane.height]), axes @ plane.axes
         if check is None and not correction.moved and correction.faulty_cameras:
-            # a misfit across the parallax may be as large along it, where it passes for the sheet's height
+            # an error along the parallax looks like a height of the sheet; assume it as large as that across
             ambiguity = correction.misfit * windows.pixel
         check = check or correction
     assert check is not None
@@ -287,8 +292,7 @@ def fit_sheet(
     height = float(origin @ normal / normal[2])
     used = windows.instants
     note = {"height_m": height, "slope": list(slope), "instants": used, "elsewhere_m": ambiguity}
-    provenance = {
-        key: value for key, value in rig.provenance.items() if key != "levelled"
-    }  # that is of water
+    # `levelled` would mean that z = 0 is the water
+    provenance = {key: value for key, value in rig.provenance.items() if key != "levelled"}
     rig = Rig(rig.cameras, {**provenance, "light_sheet": note})
     return LightSheet(rig, height, slope, before, rms, check, count, used, ambiguity)

@@ -1,4 +1,4 @@
-"""Errors that a fitted rig predicts in z and in pixels, and the lens model chosen by them."""
+"""Predict the errors of a fitted rig in z and in pixels, and choose the camera model by them."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -10,25 +10,22 @@ from wavefield.calibration.observations import LIMITS, MAX_MATCHES, Observations
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
 
-HEIGHT = 0.05  # metres about z = 0 of the volume in which errors are stated
-CELLS = 8  # along each side of an image, for the coverage
+HEIGHT = 0.05  # m: errors are predicted within this distance of z = 0, the height of laboratory waves
+CELLS = 8  # along each side of an image; the coverage is the fraction of cells with a node
 
 
 @dataclass(frozen=True)
 class PredictedErrors:
     """Predicted standard uncertainties where the rig will be used."""
 
-    # Standard uncertainty of a pixel of each camera within 5 cm of z = 0, px (rms over the field and axes)
-    reprojection: Mapping[str, float]
-    # Standard uncertainty of z within 5 cm of z = 0 (rms over the field), metres; NaN for one camera
-    z_std: float
-    # Fraction of each image, in cells of an eighth of its side, that held a node in some view
-    coverage: Mapping[str, float]
-    volume: str = "near z = 0"  # Where, in words
+    reprojection: Mapping[str, float]  # Of a pixel of each camera, px, rms over the volume and both axes
+    z_std: float  # Of z, metres, rms over the volume; NaN for one camera
+    coverage: Mapping[str, float]  # Fraction of each image's cells with a node in any view
+    volume: str = "near z = 0"  # The volume, in words
 
 
 def predict_errors(observations: Observations, result: Fit, level: bool = True) -> PredictedErrors:
-    """Standard uncertainties of pixels and of z that follow from the covariance of the fit."""
+    """Propagate the covariance of the fit to pixels and to z; `level` is whether z = 0 is known."""
     o = observations
     points = volume(o, result, level)
     _, J, by_point = at_points(o, result, points)
@@ -38,7 +35,7 @@ def predict_errors(observations: Observations, result: Fit, level: bool = True) 
     z_std = float("nan")
     if C > 1:
         A = by_point.transpose(1, 0, 2, 3).reshape(n, 2 * C, 3)
-        back = np.linalg.pinv(A)[:, 2]  # z row
+        back = np.linalg.pinv(A)[:, 2]  # derivative of z by the pixels
         dz = -np.einsum("nk,nkp->np", back, J.transpose(1, 0, 2, 3).reshape(n, 2 * C, -1))
         z_std = float(np.sqrt(np.einsum("np,pq,nq->", dz, cov, dz, optimize=True) / n))
     coverage = {}
@@ -54,12 +51,12 @@ def predict_errors(observations: Observations, result: Fit, level: bool = True) 
 
 
 def at_points(observations: Observations, result: Fit, points: Array) -> tuple[Array, Array, Array]:
-    """Pixels (C, n, 2) of points of the physical frame, and their derivatives.
-    These are (C, n, 2, p) with respect to the fit's parameters, and (C, n, 2, 3) to the points.
+    """Pixels (C, n, 2) of points (n, 3), metres, of the physical frame, with their derivatives.
+    The derivatives are (C, n, 2, p) by the fit's parameters and (C, n, 2, 3) by the points.
     """
     o = observations
     C, n = len(o.cameras), len(points)
-    # the points as if they were a target in the reference frame: no pose parameter moves it
+    # treat the points as a target whose pose is fixed in the physical frame
     probe = Observations.of_points(o.cameras, o.sizes, (*o.poses, "volume"), n)
     geometry = replace(result.geometry.with_pose(np.eye(3), np.zeros(3)), offset=points)
     plan = result.layout.with_pose("volume", ())
@@ -68,8 +65,9 @@ def at_points(observations: Observations, result: Fit, points: Array) -> tuple[A
 
 
 def volume(o: Observations, result: Fit, level: bool) -> Array:
-    """Points (n, 3), metres, where the rig will be used: within `HEIGHT` of z = 0 over the common field.
-    Over the target's extent if the cameras have none in common; without a level, where the target was.
+    """Points (n, 3), metres, that fill the volume where the rig will be used.
+    They are within `HEIGHT` of z = 0 over the field that all cameras see, or over the target if there is no
+    such field. If z = 0 is unknown, they are positions of the target's nodes.
     """
     g = result.geometry
     if not level:
@@ -77,7 +75,7 @@ def volume(o: Observations, result: Fit, level: bool) -> Array:
         some: Array = world[np.linspace(0, len(world) - 1, min(len(world), MAX_MATCHES)).astype(int)]
         return some
     cameras = g.cameras(o.sizes)
-    lo, hi = common_extent(cameras, o.plan[np.unique(o.node)])
+    lo, hi = common_extent(cameras, o.nominal[np.unique(o.node)])
     x, y = np.linspace(lo[0], hi[0], 17)[1:-1], np.linspace(lo[1], hi[1], 17)[1:-1]
     X, Y, Z = np.meshgrid(x, y, [-HEIGHT, 0.0, HEIGHT], indexing="ij")
     points = np.stack([X.ravel(), Y.ravel(), Z.ravel()], axis=-1)
@@ -88,17 +86,19 @@ def volume(o: Observations, result: Fit, level: bool) -> Array:
     return used
 
 
-# The third is the paper's model. A tilt is equivalent to moving the principal point, and better conditioned;
-# the two together have a condition number of 1e8 and more: on request only.
+# The third is the paper's model. A sensor tilt is nearly equivalent to a shift of the principal point, and
+# better conditioned. No candidate frees both: the condition number would be 1e8 or more.
 CANDIDATES = (
     *("f c k1", "f tilt k1", "f aspect c k1"),
     *("f aspect c k1 k2 p", "f aspect c k1 k2 p k3"),
 )
-EQUIVALENT_RATIO = 1.05  # of expected errors: models within it count as equally good
+EQUIVALENT_RATIO = 1.05  # of expected errors; below it, the model with fewer parameters is preferred
 
 
 def terms_of(model: str) -> tuple[str, ...] | None:
-    """Free terms of a camera model, such as ``f tilt k1``; None for ``auto``."""
+    """Free terms of a camera model such as ``f tilt k1``; None for ``auto``.
+    Raises a CalibrationError for unknown terms.
+    """
     terms = tuple(model.split())
     if terms == ("auto",):
         return None
@@ -115,8 +115,8 @@ def choose(
     level: bool,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[str, Fit]:
-    """The camera model that predicts best where the rig will be used (`volume`), and its fit.
-    Among the models with nearly the least expected error of a pixel, that of the fewest parameters.
+    """Choose the camera model with the least expected error in `volume`; returns its terms and its fit.
+    Among models that are nearly as good, it is the one with the fewest parameters.
     """
     o, count = observations, 2 * len(observations)
     fits: dict[str, Fit] = {}
@@ -132,8 +132,8 @@ def choose(
         return float(count * np.log(chi2 / count) + len(fits[name].layout.names) * np.log(count))
 
     reference = min(fits, key=bic)
-    # BIC alone is dominated by the images' edges: it may select a lens that fits them a little better and
-    # predicts the middle ten times worse. A focused criterion (Claeskens and Hjort 2003) in place of it:
+    # The BIC is dominated by the images' edges. It may choose a lens that fits these slightly better but
+    # predicts the middle ten times worse, so a focused criterion (Claeskens and Hjort 2003) decides.
     expected = _expected(fits, reference, o, volume(o, fits[reference], level))
     near = [name for name in fits if expected[name] <= EQUIVALENT_RATIO * min(expected.values())]
     best = min(near, key=lambda name: len(fits[name].layout.names))
@@ -141,7 +141,7 @@ def choose(
 
 
 def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: Array) -> dict[str, float]:
-    """Expected error of a pixel at points by each model, px."""
+    """Expected rms error of a pixel at points (n, 3), px, of each model; `reference` is the model by BIC."""
     pixel: dict[str, Array] = {}
     variance: dict[str, float] = {}
     for name, f in fits.items():
@@ -151,7 +151,7 @@ def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: 
     out = {}
     for name in fits:
         apart = float(np.sum((pixel[name] - pixel[reference]) ** 2))
-        # the model's own error: its difference from BIC's choice, less what the noise of the two differs by
+        # squared bias: the difference from the reference model, minus the part that noise explains
         own = max(0.0, apart - abs(variance[name] - variance[reference]))
         out[name] = float(np.sqrt((variance[name] + own) / size))
     return out

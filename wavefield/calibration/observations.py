@@ -1,4 +1,8 @@
-"""What the target images showed: nodes, cameras and poses, with the limits that a usable rig must meet."""
+"""Observations of the target in all images, the geometry of cameras and poses, and limits for a usable rig.
+
+A pose is one position of the target, photographed by several cameras; a view is the image of one pose by one
+camera. A node is a marked point of the target. The flat view is the one of the target on the plane z = 0.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,21 +18,21 @@ from wavefield.rig.lens import LENS, Array
 
 @dataclass(frozen=True)
 class CalibrationLimits:
-    """What a usable calibration needs."""
+    """Limits that a usable calibration must meet."""
 
-    min_nodes: int = 12  # of the target in a view
-    min_tilt_range: float = 10.0  # degrees between views of a camera: with less its focal length is uncertain
-    max_reprojection_std: float = 0.3  # px: of a pixel of each camera, where the rig will be used
-    max_z_std: float = 1e-3  # m: of z there
-    max_distance_error: float = 0.05  # of a camera's distance from the origin, if it was measured by hand
-    min_coverage: float = 0.4  # of an image held by views of the target: with less a note is made
+    min_nodes: int = 12  # in a view: 24 coordinates, three times the parameters of a homography
+    min_tilt_range: float = 10.0  # degrees between a camera's views; below it the focal length is uncertain
+    max_reprojection_std: float = 0.3  # px: predicted uncertainty of a pixel where the rig will be used
+    max_z_std: float = 1e-3  # m: predicted uncertainty of z there
+    max_distance_error: float = 0.05  # relative, of a camera's distance from the origin measured by hand
+    min_coverage: float = 0.4  # fraction of an image that the target covers; below it a note is made
 
 
 LIMITS = CalibrationLimits()
-OUTLIER_DEVIATIONS = 6.0  # of a point from a fit to the others, over the typical deviation
-MIN_OUTLIER_PX = 0.1  # what misses a fit by less is no outlier
-MIN_MATCHES = 50  # between two cameras, to find how they stand and where the water is
-MAX_MATCHES = 3000  # more do not change the result
+OUTLIER_DEVIATIONS = 6.0  # robust standard deviations from a fit: Gaussian errors of 10,000 nodes stay within
+MIN_OUTLIER_PX = 0.1  # px; a smaller residual is never an outlier
+MIN_MATCHES = 50  # between two cameras, for their relative pose and the water level
+MAX_MATCHES = 3000  # matches used in a fit; more do not change the result
 
 
 @dataclass
@@ -36,8 +40,8 @@ class Findings:
     """Problems and notes for the user, as sentences."""
 
     problems: list[str] = field(default_factory=list)  # Why the rig cannot be used, and what to do
-    notes: list[str] = field(default_factory=list)  # What was left out, and other remarks
-    left_out: dict[str, int] = field(default_factory=dict)  # Points left out per view ("camera pose")
+    notes: list[str] = field(default_factory=list)  # Remarks, for example on views that were left out
+    left_out: dict[str, int] = field(default_factory=dict)  # Points left out, by view ("camera pose")
 
     def leave_out(self, camera: str, pose: str, points: int, reason: str = "") -> None:
         """Count points that are left out, and note the reason."""
@@ -52,26 +56,26 @@ Index = Nodes
 
 @dataclass(frozen=True)
 class Observations:
-    """Nodes of the target observed by the cameras."""
+    """Pixels of N nodes of the target in all images: n observations."""
 
-    cameras: tuple[str, ...]  # Names; the integer arrays below are indices of these
+    cameras: tuple[str, ...]  # Names; `camera` below holds indices of them, as `pose` does of `poses`
     poses: tuple[str, ...]
     sizes: tuple[tuple[int, int], ...]  # Image (width, height) of each camera, px
-    nodes: Index  # (N, 2): Indices (i, j) of the target's nodes that were observed
-    plan: Array  # (N, 3): Their positions on a perfect target, metres
+    nodes: Index  # (N, 2): Indices (i, j) of the nodes that were observed
+    nominal: Array  # (N, 3): Their nominal positions in the target's axes, metres
     mesh: float  # Distance of neighbouring nodes, metres
-    camera: Index  # (n,): Which camera observed which node in which pose of the target
-    pose: Index
-    node: Index
+    camera: Index  # (n,): Camera of each observation
+    pose: Index  # (n,): Pose of the target
+    node: Index  # (n,): Row of `nodes`
     pixel: Array  # (n, 2): Position in the image, px
     std: Array  # (n,): Standard uncertainty per axis, px
-    placed: tuple[int, ...] = ()  # Poses whose nodes are in the physical frame already
+    placed: tuple[int, ...] = ()  # Poses whose nominal positions are in the physical frame
 
     def __len__(self) -> int:
         return len(self.camera)
 
     def only(self, keep: Mask) -> "Observations":
-        """A subset of the observations; names and nodes are kept."""
+        """Observations that a mask (n,) selects; names and nodes stay."""
         parts = {key: getattr(self, key)[keep] for key in ("camera", "pose", "node", "pixel", "std")}
         return replace(self, **parts)
 
@@ -79,14 +83,16 @@ class Observations:
     def of_points(
         cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], poses: tuple[str, ...], count: int
     ) -> "Observations":
-        """Free points, all observed by every camera in the last pose; pixels are set to zero."""
+        """Observations of points at the origin, by every camera in the last pose; pixels are zero.
+        `Geometry.offset` holds the positions of these points.
+        """
         n = len(cameras) * count
         return Observations(
             cameras,
             poses,
             sizes,
             nodes=np.zeros((count, 2), np.int64),
-            plan=np.zeros((count, 3)),
+            nominal=np.zeros((count, 3)),
             mesh=1.0,
             camera=np.repeat(np.arange(len(cameras)), count),
             pose=np.full(n, len(poses) - 1),
@@ -99,7 +105,7 @@ class Observations:
 def collect(
     views: Mapping[str, Mapping[str, TargetPoints]], mesh: float, origin: tuple[float, float] = (0.0, 0.0)
 ) -> Observations:
-    """Observations from the views of all cameras; mesh, and origin of node (0, 0), in metres."""
+    """Join the views of all cameras; the mesh and the position of node (0, 0) are in metres."""
     cameras = tuple(views)
     poses = tuple(dict.fromkeys(pose for by_pose in views.values() for pose in by_pose))
     rows = [
@@ -119,7 +125,7 @@ def collect(
         poses,
         tuple(next(((p.size[0], p.size[1]) for p in views[name].values()), (0, 0)) for name in cameras),
         nodes=unique[:, :2],
-        plan=np.column_stack([origin + unique[:, :2] * float(mesh), 1e-9 * unique[:, 2]]),
+        nominal=np.column_stack([origin + unique[:, :2] * float(mesh), 1e-9 * unique[:, 2]]),
         mesh=float(mesh),
         camera=np.repeat([c for c, _, _ in rows], counts).astype(np.int64),
         pose=np.repeat([q for _, q, _ in rows], counts).astype(np.int64),
@@ -132,45 +138,47 @@ def collect(
 
 @dataclass(frozen=True)
 class Geometry:
-    """Cameras and poses of the target."""
+    """Cameras and poses of the target; the world is the physical frame."""
 
-    lens: Array  # (C, 12): `LENS` of each camera
-    R: Array  # (C, 3, 3): World to camera, metres
-    T: Array
-    pose_R: Array  # (P, 3, 3): Target to world, metres
-    pose_t: Array
-    offset: Array  # (N, 3): Of each node from its position on a perfect target, metres, in the target's axes
+    lens: Array  # (C, 12): Lens of each camera, in the order of `LENS`
+    R: Array  # (C, 3, 3): Rotation from world to camera
+    T: Array  # (C, 3): Translation from world to camera, metres
+    pose_R: Array  # (P, 3, 3): Rotation from target to world
+    pose_t: Array  # (P, 3): Translation from target to world, metres
+    offset: Array  # (N, 3): Deviation of each node from its nominal position, metres, in the target's axes
 
     def cameras(self, sizes: Sequence[tuple[int, int]]) -> list[Camera]:
-        """The cameras, with images of given sizes (width, height), px."""
+        """Camera objects with images of given sizes (width, height), px."""
         return [
             Camera(rotation=R, translation=T, size=size, **dict(zip(LENS, lens.tolist(), strict=True)))
             for lens, R, T, size in zip(self.lens, self.R, self.T, sizes, strict=True)
         ]
 
     def with_pose(self, R: Array, t: Array) -> "Geometry":
-        """Add a pose of the target."""
+        """A copy with one more pose of the target."""
         return replace(
             self, pose_R=np.concatenate([self.pose_R, R[None]]), pose_t=np.concatenate([self.pose_t, t[None]])
         )
 
     def world(self, observations: Observations) -> Array:
         """Positions of the observed nodes in the world, (n, 3), metres."""
-        points = (observations.plan + self.offset)[observations.node]
+        points = (observations.nominal + self.offset)[observations.node]
         pose = observations.pose
         world: Array = np.einsum("nij,nj->ni", self.pose_R[pose], points) + self.pose_t[pose]
         return world
 
 
-def common_extent(cameras: Sequence[Camera], plan: Array) -> tuple[Array, Array]:
-    """Lower and upper (x, y) of the field that all cameras see on z = 0, or else of the target's plan, m."""
+def common_extent(cameras: Sequence[Camera], nominal: Array) -> tuple[Array, Array]:
+    """Lower and upper (x, y), metres, of the field on z = 0 that all cameras see.
+    If there is none, these are the limits of the target's nodes (N, 3).
+    """
     try:
         views = [view_on_water(camera) for camera in cameras]
-    except RigError:  # of a rig in a frame of its own, z = 0 may be out of view
+    except RigError:  # without a flat view, the plane z = 0 may be out of view
         views = []
     if views:
         lo = np.max([view.min(axis=0) for view in views], axis=0)
         hi = np.min([view.max(axis=0) for view in views], axis=0)
         if (hi > lo).all():
             return lo, hi
-    return plan[:, :2].min(axis=0), plan[:, :2].max(axis=0)
+    return nominal[:, :2].min(axis=0), nominal[:, :2].max(axis=0)

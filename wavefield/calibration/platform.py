@@ -1,4 +1,8 @@
-"""Pose of a platform above the sea, from the horizon and the sea surface, and whether it sways."""
+"""Level and height of cameras on a platform above the sea, from the horizon and the mean surface, and sway.
+
+`up` is the unit vector of the vertical in the rig's frame. Matched features are on the waves, not on the mean
+surface; averaged over many instants, the elevation of the waves is zero.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,26 +24,27 @@ from wavefield.rig.stereo import epipolar_distance
 from wavefield.rig.water_level import OUTLIER_DEVIATIONS
 from wavefield.robust import robust_std
 
-EARTH_RADIUS = 6.371e6 / 0.87  # m; light is bent by the air as if the Earth were larger (Bomford 1980)
-SMOOTHING = 2.0  # px: of the mean image, for its gradient
-COLUMNS = 160  # at which the horizon is searched, at most
-EDGES = 4  # of each column that may be the horizon, the strongest ones
-MAX_MISFIT = 1.0  # px, of a point of the horizon from its line
-MIN_SHARE = 0.7  # of the columns that show the line
-MIN_CONTRAST = 5.0  # noise levels of the gradient
-TRIALS = 2000
+EARTH_RADIUS = 6.371e6 / 0.87  # m; refraction by air acts as if the Earth were larger (Bomford 1980)
+SMOOTHING = 2.0  # px: standard deviation of the Gaussian that smooths the mean image
+COLUMNS = 160  # image columns in which the horizon is searched, at most, for speed
+EDGES = 4  # strongest edges of a column that are tried as the horizon
+MAX_MISFIT = 1.0  # px between a point of the horizon and the line
+MIN_COLUMNS = 0.7  # fraction of the columns in which the line must be found; ships and piles hide it
+MIN_CONTRAST = 5.0  # gradient of an edge, in standard deviations of its noise
+TRIALS = 2000  # of RANSAC; with one true edge in eight, thirty of them pick two points of the line
 
 
 def dip(height: float) -> float:
-    """Angle of the horizon below the horizontal, rad, from a height above the sea, m; usual refraction."""
+    """Angle of the horizon below the horizontal, rad, from a height above the sea, m, with refraction."""
     return float(np.sqrt(2.0 * max(height, 0.0) / EARTH_RADIUS))
 
 
 def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array | None:
-    """Points (X, Y) of the horizon, (n, 2), px, in images (row, column) of a camera that does not move.
-    None without a straight line across the undistorted mean image; a roll of up to 45 degrees is allowed.
+    """Find points (X, Y) of the horizon, (n, 2), px, in images (row, column) of a fixed camera.
+    The horizon is a straight line across the undistorted mean image, with a roll of up to 45 degrees. Returns
+    None if there is no such line.
     """
-    # waves are not in the mean image
+    # the mean image shows the horizon, but not the waves
     mean = np.asarray(np.mean([np.asarray(image, float) for image in images], axis=0), np.float32)
     smooth = np.asarray(cv2.GaussianBlur(mean, (0, 0), SMOOTHING), np.float32)
     gradient = np.zeros_like(smooth)
@@ -51,13 +56,13 @@ def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array
     columns = len(np.unique(points[:, 0]))
     inlier = _line(tangents, points[:, 0], strength, MAX_MISFIT / camera.fy)
     found = points[inlier]
-    if len(np.unique(found[:, 0])) < MIN_SHARE * columns:
+    if len(np.unique(found[:, 0])) < MIN_COLUMNS * columns:
         return None
     return found
 
 
 def _edges(gradient: NDArray[np.float32]) -> tuple[Array, Array]:
-    """Steepest edges of some columns: positions (n, 2), px, and gradients (n,)."""
+    """Steepest edges in some columns of the vertical gradient: positions (n, 2), px, and gradients (n,)."""
     width = gradient.shape[1]
     noise = 1.4826 * float(np.median(np.abs(gradient)))
     points, strength = [], []
@@ -74,7 +79,9 @@ def _edges(gradient: NDArray[np.float32]) -> tuple[Array, Array]:
 
 
 def _line(tangents: Array, column: Array, strength: Array, reach: float) -> NDArray[np.bool_]:
-    """Which points (n,) lie on the straight line that joins the strongest edges, by RANSAC."""
+    """Which edges (n,) lie on the straight line with the most gradient on it, by RANSAC.
+    `tangents` (n, 2) are positions without lens distortion; `reach` is the largest distance from the line.
+    """
     rng = np.random.default_rng(0)
     weight = np.minimum(strength, np.median(strength))
     best, inlier = 0.0, np.zeros(len(tangents), bool)
@@ -96,7 +103,7 @@ def _line(tangents: Array, column: Array, strength: Array, reach: float) -> NDAr
 
 
 def sight_lines(camera: Camera, points: Array) -> Array:
-    """Unit sight lines (n, 3) of pixels (n, 2) in the camera's own frame."""
+    """Unit vectors (n, 3) of the sight lines of pixels (n, 2), in the camera's frame."""
     a, b = camera.tangents(*points.T)
     rays = np.stack([a, b, np.ones_like(a)], axis=-1)
     return np.asarray(rays / np.linalg.norm(rays, axis=1)[:, None])
@@ -105,27 +112,27 @@ def sight_lines(camera: Camera, points: Array) -> Array:
 Pair = tuple[str, str]
 Instant = Mapping[Pair, Pixels]
 
-WAVES_IN_VIEW = 20.0  # independent elevations per instant: neighbouring features are on one wave
-HORIZON_ERROR = 0.3  # px: of the line as a whole
-GROUPS = 8  # of instants next to each other, left out in turn
-LOWEST = 0.02  # sine of the smallest angle of a sight line below the horizontal
-HUGE = 1e3  # px: where there is no water
+WAVES_IN_VIEW = 20.0  # independent elevations at an instant, as neighbouring features are on one wave
+HORIZON_ERROR = 0.3  # px: systematic error of the whole line
+GROUPS = 8  # of successive instants, for the jackknife
+MIN_DOWN = 0.02  # sine of the smallest angle of a sight line below the horizontal, about one degree
+HUGE = 1e3  # px: residual of a match that is not on the water in front of both cameras
 
 
 @dataclass(frozen=True)
 class PlatformFit:
-    """Cameras in one frame and the plane of the mean surface, up . x + offset = 0."""
+    """Cameras in one frame, and the plane of the mean surface, up . x + offset = 0."""
 
     cameras: Mapping[str, Camera]
-    up: Array  # (3,), unit vector
-    offset: float  # m
+    up: Array  # (3,): Unit vector
+    offset: float  # Metres
 
     def height(self, name: str) -> float:
         """Height of a camera above the mean surface, m."""
         return float(self.up @ self.cameras[name].centre + self.offset)
 
     def distance(self, matches: Sequence[Mapping[Pair, Pixels]]) -> float:
-        """Distance of the matched water from the first camera, m."""
+        """Median distance of the matched features from the first camera, m; 0 without matches."""
         name = next(iter(self.cameras))
         rays = [
             sight_lines(self.cameras[name], np.reshape(pixels[0], (-1, 2))) @ self.cameras[name].R @ self.up
@@ -133,17 +140,17 @@ class PlatformFit:
             for pair, pixels in one.items()
             if pair[0] == name
         ]
-        return self.height(name) / max(float(np.median(-np.concatenate(rays))), LOWEST) if rays else 0.0
+        return self.height(name) / max(float(np.median(-np.concatenate(rays))), MIN_DOWN) if rays else 0.0
 
 
 @dataclass(frozen=True)
 class _Match:
-    """Matched pixels of one pair of cameras, with the number of their instant."""
+    """Matched pixels of one pair of cameras at all instants."""
 
     pair: Pair
-    a: Array  # (n, 2)
-    b: Array
-    instant: NDArray[np.intp]
+    a: Array  # (n, 2): Pixels of the first camera
+    b: Array  # (n, 2): Pixels of the second camera
+    instant: NDArray[np.intp]  # (n,): Number of the instant
 
 
 def fit_platform(
@@ -152,15 +159,17 @@ def fit_platform(
     horizons: Mapping[str, Array],
     distance: float | None = None,
 ) -> PlatformFit:
-    """Least squares of the level, the height and, if its distance is stated, the second camera's pose.
-    Residuals, over their expected size: epipolar distances, waves along the epipolar lines, the horizon.
+    """Fit the level, the height and, if a distance (metres) is given, the pose of the second camera.
+    The robust least-squares fit has three kinds of residuals, each divided by its expected size: distances
+    of matches across and along the epipolar lines, and distances of sight lines from the horizon. A distance
+    along an epipolar line is the elevation of a wave.
     """
     kept = [one for one in _joined(matches) if len(one.a)]
     kept = [_on_water(start, one) for one in kept]
     fit = start
     if not kept:
         return start
-    for _ in range(2):  # the sizes of waves and of mismatches are those of the fit before
+    for _ in range(2):  # the expected sizes come from the previous fit
         sizes = [_sizes(fit, one) for one in kept]
         solution = least_squares(
             _residuals,
@@ -169,25 +178,25 @@ def fit_platform(
             x_scale=np.array(([1e-3] * 5 if distance is not None else []) + [1e-3, 1e-3, 1e-2]),
             args=(fit, kept, sizes, horizons, distance, len(matches)),
         )
-        fit = _changed(fit, np.asarray(solution.x), distance)
+        fit = _stepped(fit, np.asarray(solution.x), distance)
     return fit
 
 
-def leave_out(
+def jackknife_std(
     fit: PlatformFit, matches: Sequence[Instant], horizons: Mapping[str, Array], distance: float | None
 ) -> tuple[float, float]:
-    """Standard uncertainties of the tilt, degrees, and of the height, m, from groups of instants (jackknife).
-    NaN where too few groups show different waves; the tilt then has the uncertainty of the horizon, if any.
+    """Standard uncertainties of the tilt, degrees, and of the height, m, by a jackknife over instants.
+    They are NaN if all instants show the same waves; with a horizon, that of the tilt is then the horizon's.
     """
-    # instants next to each other are left out together: they show the same waves
+    # leave out successive instants together, because they show the same waves
     groups = [
         part for part in np.array_split(np.arange(len(matches)), min(GROUPS, len(matches))) if len(part)
     ]
     first = next(iter(fit.cameras))
     name, points = next((item for item in horizons.items()), (first, None))
     of_horizon = HORIZON_ERROR / fit.cameras[name].fy if points is not None else 0.0
-    count, alike = len(groups), _alike(fit, matches, groups)
-    if alike > 0.99 * count:  # all show the same waves, as one instant does
+    count, correlated = len(groups), _correlated_groups(fit, matches, groups)
+    if correlated > 0.99 * count:  # all groups show the same waves
         return float(np.degrees(of_horizon)) or float("nan"), float("nan")
     ups, heights = [], []
     for part in groups:
@@ -199,19 +208,21 @@ def leave_out(
     up, height = np.array(ups), np.array(heights)
     tilt = np.sqrt(factor * np.sum((up - up.mean(axis=0)) ** 2))
     spread = np.sqrt(factor * np.sum((height - height.mean()) ** 2))
-    of_few = float(student_t.ppf(0.8413, len(groups) - 1))  # the spread of few groups is uncertain itself
-    # groups that show the same waves: the variance of the mean of n is F/n of one's (F is `alike`), and the
-    # spread within the record is too small by (n - F)/(n - 1)
-    of_few *= float(np.sqrt(alike * (count - 1) / (count - alike)))
+    widening = float(student_t.ppf(0.8413, len(groups) - 1))  # Student's t for one standard deviation
+    # Let F of n groups be correlated. The variance of the mean is then F/n, not 1/n, of that of one group,
+    # and the variance between groups is too small by (n - F)/(n - 1).
+    widening *= float(np.sqrt(correlated * (count - 1) / (count - correlated)))
     lever = fit.distance(matches) * of_horizon
     return (
-        float(np.degrees(np.hypot(of_few * tilt, of_horizon))),
-        float(np.hypot(of_few * spread, lever)),
+        float(np.degrees(np.hypot(widening * tilt, of_horizon))),
+        float(np.hypot(widening * spread, lever)),
     )
 
 
-def _alike(fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArray[np.intp]]) -> float:
-    """Number of successive groups of instants that show the same waves, from elevations in cells."""
+def _correlated_groups(
+    fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArray[np.intp]]
+) -> float:
+    """Number of successive groups of instants with correlated waves, at least 1, from mean elevations."""
     count = len(groups)
     products, squares = np.zeros(count), np.zeros(count)
     number = np.concatenate([np.full(len(part), n) for n, part in enumerate(groups)])
@@ -231,13 +242,13 @@ def _alike(fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArra
             first, second = mean[:-lag], mean[lag:]
             products[lag] += float(np.nansum(first * second))
             squares[lag] += float(np.nansum(0.5 * (first**2 + second**2)))
-    # F = 1 + 2 sum (1 - k/n) r_k, with the correlation r_k of elevations k groups apart
+    # F = 1 + 2 sum (1 - k/n) r_k, where r_k is the correlation of elevations k groups apart
     r = products[1:] / np.maximum(squares[1:], 1e-12)
     return max(1.0 + 2.0 * float(r @ (1.0 - np.arange(1, count) / count)), 1.0)
 
 
 def _joined(matches: Sequence[Instant]) -> list[_Match]:
-    """The matches of each pair of cameras at all instants, evenly thinned to at most `MAX_MATCHES`."""
+    """Join the matches of each pair of cameras at all instants; keep every nth, `MAX_MATCHES` at most."""
     out = []
     for pair in dict.fromkeys(pair for one in matches for pair in one):
         parts = [(number, one[pair]) for number, one in enumerate(matches) if pair in one]
@@ -249,18 +260,21 @@ def _joined(matches: Sequence[Instant]) -> list[_Match]:
 
 
 def _on_water(fit: PlatformFit, one: _Match) -> _Match:
-    """Matches near their epipolar lines and near enough to the cameras: no sky, no far water."""
+    """Keep matches near their epipolar lines and on near water; leave out the sky and far water."""
     first, second = (fit.cameras[name] for name in one.pair)
     near = np.abs(epipolar_distance(first, second, *one.a.T, *one.b.T)) < MAX_EPIPOLAR_ERROR
     down = -(sight_lines(first, one.a) @ first.R @ fit.up)
-    near &= down > LOWEST
+    near &= down > MIN_DOWN
     if near.any():
         near &= down > np.median(down[near]) / MAX_DISTANCE_RATIO
     return _Match(one.pair, one.a[near], one.b[near], one.instant[near])
 
 
-def _changed(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
-    """The fit after a step x: the second camera turned and moved, the plane tilted and raised."""
+def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
+    """The fit after a step x.
+    With a distance, x is a rotation vector (3) and a shift (2) of the second camera, followed by tilt (2) and
+    rise (1) of the plane; without, it is the last three only.
+    """
     cameras = dict(fit.cameras)
     if distance is not None:
         one, name = list(cameras)[:2]
@@ -277,12 +291,12 @@ def _changed(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
 
 
 def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Array]:
-    """For each match, px: distance from its epipolar line, distance along it from the plane, and the
-    parallax per metre of elevation.
+    """Distances of matches across and along their epipolar lines, px, and px per metre of elevation.
+    Each is (n,). The distance along the line is zero for a feature on the mean surface.
     """
     first, second = (fit.cameras[name] for name in one.pair)
     rays = sight_lines(first, one.a) @ first.R
-    down = np.minimum(rays @ fit.up, -LOWEST / 4)
+    down = np.minimum(rays @ fit.up, -MIN_DOWN / 4)
     top = fit.up @ first.centre + fit.offset
     ray_per_metre = rays / down[:, None]
     place = first.centre - top * ray_per_metre
@@ -294,7 +308,7 @@ def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Arra
 
 
 def _sizes(fit: PlatformFit, one: _Match) -> tuple[float, Array]:
-    """Expected standard deviations, px, of the distances across and (n,) along the epipolar lines."""
+    """Expected standard deviations, px, of the distances across (one value) and along (n,) epipolar lines."""
     across, along, per_metre = _along_and_across(fit, one)
     noise = max(robust_std(across), 0.05)
     waves = max(robust_std(along / per_metre), 1e-3)
@@ -310,7 +324,7 @@ def _residuals(
     distance: float | None,
     instants: int,
 ) -> Array:
-    now = _changed(fit, x, distance)
+    now = _stepped(fit, x, distance)
     out = []
     for one, (noise, expected) in zip(kept, sizes, strict=True):
         across, along, _ = _along_and_across(now, one)
@@ -324,9 +338,11 @@ def _residuals(
 
 
 def sway(images: Sequence[NDArray[np.generic]], camera: Camera) -> float:
-    """Rms of the roll and pitch of a camera, degrees, from its horizon in images; NaN in fewer than two."""
+    """Rms roll or pitch of a camera, the larger one, degrees, from the horizon in its images.
+    NaN if fewer than two images show the horizon.
+    """
     lines = [find_horizon([image], camera) for image in images]
-    # up is across all sight lines to the horizon
+    # the vertical is perpendicular to all sight lines to the horizon
     ups = [np.linalg.svd(sight_lines(camera, line) @ camera.R)[2][2] for line in lines if line is not None]
     if len(ups) < 2:
         return float("nan")

@@ -1,4 +1,4 @@
-"""Nodes of a target in one image, as found or as read from a table of points."""
+"""Nodes of a target in one image: their container, and tables of points that other programs found."""
 
 import csv
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from wavefield.errors import CalibrationError
 from wavefield.file_access import refuse_pipe
 from wavefield.rig.lens import Array
 
-Image = NDArray[np.float32]  # (row, column), 255 where brightest
+Image = NDArray[np.float32]  # (row, column); the brightest grey is 255
 Nodes = NDArray[np.int64]  # (n, 2): indices (i, j) of a target's nodes
 Mask = NDArray[np.bool_]
 
@@ -24,20 +24,21 @@ class TargetPoints:
     Parameters
     ----------
     node : ndarray of int, (n, 2)
-        Indices (i, j): the node is at x = i * mesh, y = j * mesh on the target;
-        right-handed seen from above. Of free points x and y in units of the mesh, not whole numbers.
+        Indices (i, j). The node is at x = i * mesh, y = j * mesh on the target, right-handed seen from
+        above. For a target of kind `points` these are x and y in units of the mesh, and may be fractions.
     pixel : ndarray, (n, 2)
         Position (X, Y) = (column, row), px.
     std : ndarray, (n,)
-        Standard uncertainty per axis, px.
+        Standard uncertainty of the position along each axis, px.
     size : tuple of int
         Image (width, height), px.
     notes : tuple of str
-        Remarks for the user (marks not found, partly out of view, ...).
+        Remarks for the user, for example on points that were left out.
     z : ndarray, (n,), optional
-        Height of the nodes above the target's plane, metres, where they are not all on it.
+        Height of each node above the target's plane, metres; None if all nodes are on the plane.
     placed : bool
-        Whether nodes and z are in the physical frame, as for a target that a traverse moves along z.
+        Whether nodes and z are positions in the physical frame, as for a target that a traverse moves
+        along z.
     """
 
     node: Nodes
@@ -59,21 +60,20 @@ FREE_COLUMNS = ("x", "y", "z", "X", "Y")
 def read_points(
     path: str | Path, size: tuple[int, int] | None = None, std: float = 0.1, unit: float | None = None
 ) -> TargetPoints:
-    """Read target points from a CSV file with columns i, j, X, Y and, where available, std (px) and z (m).
-    size and std are used where the file states none; CalibrationError for a line that makes no sense.
-    With a unit (metres) the columns are x, y, z, X, Y of any points.
+    """Read target points from a CSV file with columns i, j, X, Y and optionally std (px) and z (metres).
+    If a unit (metres) is given, the columns are x, y, z in that unit, then X, Y. `size` and `std` (px) serve
+    where the file has none. A line that is not made of numbers raises a CalibrationError.
     """
     path = Path(path)
     lines = _lines(path)
-    # lines that begin with # are comments, of which one may be: # size 1024 1024 (width and height)
+    # lines that begin with # are comments; one of them may be "# size 1024 1024" (width and height, px)
     size = _stated_size(lines, path) or size
     if size is None:
         raise CalibrationError(
             f"{path} does not state the image's size, and there are no images of its camera; add a line like "
             "'# size 1024 1024'"
         )
-    # node (i, j) is at x = i * mesh, y = j * mesh, right-handed seen from above; X, Y are column and row, px,
-    # from 0 at the centres of pixels; z in the physical frame gives the view's pose, as of a traversed target
+    # X, Y count from 0 at the centre of the first pixel; a column z means that the target's pose is known
     data, placed = _table(lines, path, std) if unit is None else _free_points(lines, path, std, unit)
     node = data[:, :2] if unit else np.rint(data[:, :2]).astype(np.int64)
     if not np.isfinite(data).all() or np.any(node != data[:, :2]) or np.any(data[:, 4] <= 0.0):
@@ -108,7 +108,7 @@ def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
 
 
 def _table(lines: list[str], path: Path, std: float) -> tuple[Array, bool]:
-    """Columns i, j, X, Y, std, z, and whether the file has z."""
+    """Table (n, 6) of i, j, X, Y, std, z, and whether the file has a column z."""
     rows = csv.DictReader(_content(lines), skipinitialspace=True)
     header = rows.fieldnames or ()
     missing = [name for name in COLUMNS if name not in header]
@@ -123,7 +123,7 @@ def _table(lines: list[str], path: Path, std: float) -> tuple[Array, bool]:
 
 
 def _free_points(lines: list[str], path: Path, std: float, unit: float) -> tuple[Array, bool]:
-    """Columns x, y (in the unit), X, Y, std, z (metres) of points that are in the physical frame."""
+    """Table (n, 6) of x, y (in the unit), X, Y, std, z (metres) of points with known positions."""
     content = [line.replace(",", " ") for line in _content(lines)]
     header = content[0].split() if content else []
     if not set(header) >= set(FREE_COLUMNS):

@@ -12,11 +12,11 @@ from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
 
-MAX_SEARCH_SIZE = 1500  # px; larger images are first searched at half size
+MAX_SEARCH_SIZE = 1500  # px; larger images are halved for the search: OpenCV's detectors are slow on them
 
 
 def find_chessboard(image: Image, target: Target) -> TargetPoints:
-    """Find the inner corners of a chessboard that is completely in view."""
+    """Find the inner corners of a chessboard; all of it must be in view."""
     nx, ny = shape_of(target)
     pixel = _chessboard_corners(image, (nx, ny))
     if pixel is None:
@@ -31,7 +31,7 @@ def find_chessboard(image: Image, target: Target) -> TargetPoints:
 
 
 def _refined(image: Image, node: Nodes, pixel: Array, reach: float = 0.35) -> Array:
-    """Corners (n, 2) refined within square windows that reach so many meshes to each side."""
+    """Corners (n, 2), px, refined by `cornerSubPix`; its window extends by `reach` meshes to each side."""
     half = int(np.clip(reach * mesh_length(node, pixel), 2, 7))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
     start = pixel.astype(np.float32).reshape(-1, 1, 2)
@@ -39,7 +39,7 @@ def _refined(image: Image, node: Nodes, pixel: Array, reach: float = 0.35) -> Ar
 
 
 def _chessboard_corners(image: Image, shape: tuple[int, int]) -> Array | None:
-    """Corners by OpenCV's detectors, the quick one first: each misses boards that another finds."""
+    """Corners (n, 2), px, by OpenCV's detectors in turn, as each misses boards that another finds."""
     picture, factor = _as_bytes(image), 1.0
     while max(picture.shape) > MAX_SEARCH_SIZE:
         half = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
@@ -59,12 +59,12 @@ def _chessboard_corners(image: Image, shape: tuple[int, int]) -> Array | None:
 
 
 def _as_bytes(image: Image) -> NDArray[np.uint8]:
-    """The image in 8 bits."""
+    """The image as 8-bit integers."""
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
 def find_charuco(image: Image, target: Target) -> TargetPoints:
-    """Find the chessboard corners of a ChArUco board, also when it is partly out of view."""
+    """Find the chessboard corners of a ChArUco board, which may be partly out of view."""
     nx, ny = shape_of(target)
     grey, marker = _as_bytes(image), float(target.marker or 0.0)
     code = getattr(cv2.aruco, target.dictionary, None)
@@ -77,7 +77,7 @@ def find_charuco(image: Image, target: Target) -> TargetPoints:
 
     def detect(picture: NDArray[np.uint8]) -> tuple[Nodes, Array]:
         best: tuple[Nodes, Array] = (np.empty(0, np.int64), np.empty((0, 2)))
-        # boards with an even number of rows were made otherwise before OpenCV 4.6
+        # OpenCV before 4.6 made boards with an even number of rows in another layout
         for legacy in (False, True):
             board.setLegacyPattern(legacy)
             corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(picture)
@@ -96,6 +96,6 @@ def find_charuco(image: Image, target: Target) -> TargetPoints:
             f"{LIMITS.min_nodes} are needed (check dictionary, focus and light; markers are dark on bright)"
         )
     node = np.stack([ids % (nx - 1), ny - 2 - ids // (nx - 1)], -1)
-    gap = 0.5 * (1 - marker / target.mesh)  # meshes between a corner and the next marker
+    gap = 0.5 * (1 - marker / target.mesh)  # distance between a corner and the nearest marker, meshes
     pixel = _refined(image, node, pixel, gap)
     return make_points(image, node, pixel)

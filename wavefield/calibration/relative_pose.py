@@ -1,7 +1,7 @@
-"""Relative pose of two cameras from common features.
+"""Relative pose of two cameras from matched features of natural texture.
 
-For cameras of which only the lenses are known, as at sea: features of natural texture are matched, the second
-camera is turned until sight lines meet, and a stated distance gives the scale.
+It serves cameras at sea, of which only the lenses are known. The second camera is placed so that sight lines
+of matched features meet; the stated distance between the cameras gives the scale.
 """
 
 from dataclasses import replace
@@ -19,16 +19,16 @@ from wavefield.rig.field import MAX_DISTANCE_RATIO
 from wavefield.rig.lens import Array
 from wavefield.rig.stereo import epipolar_distance
 
-Pixels = tuple[Array, Array]  # (n, 2) in one image and in the other
+Pixels = tuple[Array, Array]  # matched pixels (n, 2) in one image and (n, 2) in the other
 
-MAX_FEATURES = 6000  # per image
-MAX_RATIO = 0.8  # of the best distance to the second best, for a match to be unambiguous
-MAX_EPIPOLAR_ERROR = 3.0  # px: of a true match
+MAX_FEATURES = 6000  # per image, for speed
+MAX_RATIO = 0.8  # of the best to the second-best descriptor distance; larger ones are ambiguous (Lowe 2004)
+MAX_EPIPOLAR_ERROR = 3.0  # px, of a correct match: features are found to about a pixel
 
 
 def match_features(one: NDArray[np.generic], other: NDArray[np.generic]) -> Pixels:
-    """Features of natural texture that two images share, as pixels (X, Y) in each, (n, 2).
-    SIFT (Lowe 2004), each the other's best, clearly better than the second best.
+    """Match SIFT features (Lowe 2004) of two images; returns their pixels (X, Y) in each, (n, 2).
+    Both features of a match are each other's best, and clearly better than the second best.
     """
     sift = cv2.SIFT.create(nfeatures=MAX_FEATURES)
     found = [sift.detectAndCompute(_bytes(image), None) for image in (one, other)]
@@ -55,8 +55,9 @@ def _bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 
 def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -> Camera:
-    """Place a camera of known lens relative to another by matches (n, 2) at a stated distance, metres.
-    Least squares of epipolar distances, px, wrong matches weighted down; the best of several starts.
+    """Place camera `other`, of which the lens is known, relative to camera `one`; the distance is in metres.
+    The pose minimises the epipolar distances of the matches with a robust loss, from several start values.
+    Raises a RigError if there are too few matches.
     """
     a, b = matches
     if len(a) < MIN_MATCHES:
@@ -71,7 +72,6 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
         raise RigError(_too_few(int(good.sum())))
     true = a[good], b[good]
     starts = _starts(np.asarray(E, float), tangents[0][good], tangents[1][good], 10 * reach)
-    # from the essential matrix by RANSAC, and from the solutions of the homography of the sea's plane
     fits = [_fitted(one, other, true, distance, start) for start in starts]
     visible = [len(points_of(one, camera, true)) for camera, _ in fits]
     possible = [f for f, count in zip(fits, visible, strict=True) if 2 * count > max(visible)]
@@ -79,8 +79,9 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
 
 
 def _starts(E: Array, one: Array, other: Array, reach: float) -> list[Pose]:
-    """Turns and directions to begin with. A nearly flat surface has the same image from two places:
-    the essential matrix (Nister 2004) may give the wrong one of them, the homography gives both.
+    """Start values of the relative pose: rotations (3, 3) and unit translations (3,).
+    A nearly flat surface looks the same from two positions of the camera. The essential matrix (Nister 2004)
+    may give the wrong one; the decomposed homography gives both.
     """
     _, R, t, _ = cv2.recoverPose(E, one, other, np.eye(3))
     out = [(np.asarray(R, float), np.asarray(t, float).ravel())]
@@ -98,7 +99,7 @@ def _starts(E: Array, one: Array, other: Array, reach: float) -> list[Pose]:
 def _fitted(
     one: Camera, other: Camera, matches: Pixels, distance: float, start: Pose
 ) -> tuple[Camera, float]:
-    """The second camera by least squares from a start, and the remaining cost."""
+    """Fit the pose of the second camera from a start value; returns the camera and the loss."""
     R, t = start
     across = np.linalg.svd(t[None])[2][1:]  # two directions across t
 
@@ -123,7 +124,9 @@ def _too_few(count: int) -> str:
 
 
 def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:
-    """Where sight lines of matches (n, 2) meet in front of both cameras, (m, 3), m, in the rig's frame."""
+    """Points (m, 3), metres, in the rig's frame where sight lines of matches meet in front of both cameras.
+    Matches with large epipolar errors and very distant points are left out.
+    """
     a, b = matches
     near = np.abs(epipolar_distance(one, other, *a.T, *b.T)) < MAX_EPIPOLAR_ERROR
     if not near.any():

@@ -1,4 +1,4 @@
-"""From target points to a rig, with a sentence for everything that may be wrong."""
+"""Calibrate a rig from target points, and report each problem in a sentence."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -37,37 +37,37 @@ from wavefield.rig import Rig
 from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
-MAX_ROUNDS = 4  # of leaving out outliers
+MAX_ROUNDS = 4  # of fitting and rejecting outliers, so that up to four views can be rejected
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A rig and how far it can be trusted.
+    """A calibrated rig, its uncertainties and its problems.
 
     Parameters
     ----------
     rig : Rig
-        The cameras; empty if none could be solved for.
+        The cameras; empty if no camera could be calibrated.
     usable : bool
-        Whether measurements may be made with it.
+        Whether the rig is good enough for measurements.
     problems : tuple of str
-        Why not, and which target images to retake.
+        Why the rig is not usable, and which target images to retake.
     notes : tuple of str
-        What was left out, and other remarks.
+        Remarks, for example on views that were left out.
     model : str
-        The camera model: its free terms.
+        The camera model, as the names of its free terms.
     observations : Observations, optional
         The points that were fitted.
     fit : Fit, optional
         The joint fit.
     predicted : PredictedErrors, optional
-        Uncertainty of pixels and of z that follows from that of the parameters.
+        Standard uncertainties of pixels and of z, propagated from those of the parameters.
     left_out : dict of str to int
-        Points left out per view ("camera pose"), all of them where the view is.
+        Number of points left out, by view ("camera pose").
     target_std : float
-        Stated uncertainty of the target's nodes per axis, metres.
+        Stated standard uncertainty of the target's nodes along each axis, metres.
     reference : str
-        The view that defines z = 0 and the axes.
+        The pose of the target that defines z = 0 and the axes.
     """
 
     rig: Rig
@@ -84,7 +84,7 @@ class Calibration:
 
     @property
     def node_offsets(self) -> Array:
-        """Offset of each of ``observations.nodes`` from its position on the target, (N, 3), metres."""
+        """Deviation of each of ``observations.nodes`` from its nominal position, (N, 3), metres."""
         return np.zeros((0, 3)) if self.fit is None else self.fit.geometry.offset
 
 
@@ -98,39 +98,44 @@ def calibrate(
     camera_distance: Mapping[str, float] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Calibration:
-    """Calibrate a rig from views of a plane target.
+    """Calibrate all cameras of a rig from their views of a target.
 
     Parameters
     ----------
     views : mapping of camera to mapping of pose to TargetPoints
-        The points of each image. The same name of a pose is the same pose of the target for all
-        cameras. Points of views that are ``placed`` are in the physical frame already (a target moved along
-        z by known steps).
+        The points of each image. A pose has the same name in all cameras. If points are ``placed``, their
+        positions in the physical frame are known (a target moved along z by known steps).
     target : Target or float
         The target, or its mesh, metres.
     flat : str or sequence of str, default "flat"
         The pose on the plane z = 0; its axes are those of the physical frame. Further names are poses
-        on the same plane, turned or shifted. Empty: the first pose defines the frame, to be levelled later.
+        on the same plane, turned or shifted. Without a flat pose, the pose that most cameras saw defines the
+        frame; level the rig on the water afterwards.
     model : str, default "auto"
-        Camera model: its free terms, such as ``f tilt k1``, of `wavefield.calibration.bundle.TERMS`, or
-        ``auto``: the one that predicts best where the rig will be used (`model_choice`).
+        Free terms of the camera model, such as ``f tilt k1`` (`wavefield.calibration.bundle.TERMS`).
+        ``auto`` chooses the model with the least expected error where the rig will be used (`model_choice`).
     target_std : float, default 0
-        Uncertainty of the target's nodes per axis, metres. If given, the nodes' offsets are solved for,
-        with this as prior; take the level from the water at rest afterwards.
+        Standard uncertainty of the target's nodes along each axis, metres. If it is given, the fit estimates
+        the nodes' offsets with this prior; level the rig on the water at rest afterwards.
     camera_distance : mapping of str to float, optional
-        Distance of cameras from the origin as measured by hand, metres: the only check on the mesh.
+        Distances of cameras from the origin, measured by hand, metres. Only they can reveal a wrong mesh.
     progress : callable, optional
-        Called with (camera models fitted, all of them).
+        Called with (camera models fitted, number of models).
 
     Returns
     -------
     Calibration
-        ``usable`` states whether it can be trusted, ``problems`` why not. Bad input gives no exception.
+        The rig, whether it is ``usable``, and its ``problems``. Bad points give problems, not exceptions.
+
+    Raises
+    ------
+    CalibrationError
+        If the camera model is not made of known terms.
 
     Notes
     -----
-    Each camera by Zhang's method, then a comparison of the poses that the cameras found each on its own,
-    then one fit of all cameras and poses (bundle adjustment) with Huber's loss.
+    Zhang's method calibrates each camera alone. The target's poses that the cameras found are compared. Then
+    one fit solves for all cameras and poses (bundle adjustment with Huber's loss).
 
     Examples
     --------
@@ -200,7 +205,7 @@ def _fit_and_choose(
     findings: Findings,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Observations, Fit, str]:
-    """Joint fit without outliers, and the choice of the model."""
+    """Fit all cameras without outliers, and choose the camera model: observations kept, fit, model."""
     o = observations
     terms = model or ("f", "aspect", "c", "k1")
 
@@ -224,7 +229,7 @@ def _fit_and_choose(
 
 
 def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observations) -> Geometry:
-    """The start for a model: lens terms that are not free have the values of a perfect lens."""
+    """Start values for a model: lens terms that are not free get the values of an ideal lens."""
     lens = geometry.lens.copy()
     free = {
         "f": (0, 1),
@@ -246,7 +251,7 @@ def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observat
 
 
 def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
-    """Which observations fit: if a whole view is an outlier, all others; else all but single points."""
+    """Which observations (n,) to keep: reject the worst view if it is an outlier, else single points."""
     deviation = np.abs(result.residual).max(axis=1) / o.std
     view = o.camera * len(o.poses) + o.pose
     spread = {
@@ -278,7 +283,7 @@ def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
 
 
 def _provenance(calibration: Calibration) -> dict[str, Any]:
-    """The numbers and texts stored with the rig."""
+    """Results of the calibration that the rig file stores."""
     o, result, errors = calibration.observations, calibration.fit, calibration.predicted
     assert o is not None
     assert result is not None

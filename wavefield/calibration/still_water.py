@@ -1,4 +1,8 @@
-"""Corrections of the cameras from images of still, seeded water."""
+"""Check whether cameras have moved since the calibration, and correct them from images of still water.
+
+A match is a set of pixels of one point of the water surface, at most one per camera. The misfit is the
+distance, px, by which the sight lines of a match miss each other.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +19,7 @@ from wavefield.calibration.bundle import (
     layout,
     linearised,
     minimise,
-    moved,
+    stepped,
 )
 from wavefield.calibration.observations import MAX_MATCHES, MIN_MATCHES, Geometry, Observations
 from wavefield.errors import CalibrationError
@@ -24,17 +28,17 @@ from wavefield.rig.lens import LENS, Array
 from wavefield.rig.stereo import jacobians, solve_displacement, triangulate
 from wavefield.rig.water_level import WaterPlane, level
 
-MOVED_TURN = np.radians(1.0)  # prior of a camera that may have moved
-MOVED_SHIFT = 0.005  # metres
-CALIBRATED_TURN = np.radians(0.002)  # prior of a camera without a covariance in the rig's file
-CALIBRATED_SHIFT = 2e-4  # metres
-FREE_TERMS = {column for columns in TERMS.values() for column in columns}
+MOVED_TURN = np.radians(1.0)  # prior standard deviations of a camera that may have moved, each axis
+MOVED_SHIFT = 0.005  # m
+CALIBRATED_TURN = np.radians(0.002)  # and of a camera that has not, if the rig file has no covariance
+CALIBRATED_SHIFT = 2e-4  # m
+FREE_TERMS = {column for columns in TERMS.values() for column in columns}  # lens parameters that a fit has
 
-Matches = Mapping[str, ArrayLike]  # by camera: pixels (n, 2) of the same points of the surface
+Matches = Mapping[str, ArrayLike]  # by camera: pixels (n, 2) of the same n points of the surface
 
 
 def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
-    """Cameras in the rig's order, and their matched pixels, (n, cameras, 2)."""
+    """Names of the cameras in the rig's order, and their matched pixels, (n, cameras, 2)."""
     names = [name for name in rig if name in matches]
     unknown = [name for name in matches if name not in rig.cameras]
     if unknown:
@@ -48,8 +52,8 @@ def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
 
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
-    """Points x, y, z (n,), metres, where the sight lines of matched pixels meet, and the misfit in pixels.
-    The misfit, (n, cameras, 2), is observed less re-projected, in the rig's order of the matches' cameras.
+    """Points x, y, z (n,), metres, nearest to the sight lines of matched pixels, and reprojection errors.
+    These errors (n, cameras, 2), px, are observed minus projected pixels, with cameras in the rig's order.
     """
     names, pixel = stack_matches(rig, matches)
     cameras = [rig[name] for name in names]
@@ -60,7 +64,7 @@ def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array
     def misfit(point: Array) -> Array:
         return pixel - np.stack([np.stack(c.project(*point.T), -1) for c in cameras], axis=1)
 
-    for _ in range(2):  # from least squares on the plane to least squares in pixels
+    for _ in range(2):  # triangulation minimises distances on the plane z = 0; minimise them in pixels
         residual = misfit(point).reshape(len(point), -1)
         point = point + solve_displacement(jacobians(cameras, *point.T), residual)[0]
     return point[:, 0], point[:, 1], point[:, 2], misfit(point)
@@ -68,15 +72,15 @@ def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array
 
 @dataclass(frozen=True)
 class Solution:
-    """Most probable parameters of the cameras, with their covariance."""
+    """Most probable parameters of the cameras."""
 
-    x: Array  # (p,): Relative to the rig as it is
-    misfit: float  # Robust distance of sight lines, px
-    chi2: float  # With the prior's part
+    x: Array  # (p,): Steps from the calibrated rig
+    misfit: float  # Robust distance by which sight lines miss, px
+    chi2: float  # Huber's loss of the matches and of the prior
 
 
 class SightLineFit:
-    """Least squares of matched pixels for the cameras' parameters, with the calibration as prior."""
+    """Least-squares fit of the cameras' parameters to matched pixels, with the calibration as prior."""
 
     def __init__(self, rig: Rig, matches: Matches, std: float):
         self.names, pixel = stack_matches(rig, matches)
@@ -105,23 +109,23 @@ class SightLineFit:
         self.layout, covariance = _prior(rig, self.names, self.observations)
         scale = np.sqrt(np.diag(covariance))
         value, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
-        # no calibration determines a combination of parameters better than that
+        # keep the covariance invertible: a calibration may determine some combinations far too well
         self.covariance = (axes * np.maximum(value, 1e-12)) @ axes.T * np.outer(scale, scale)
 
     @property
     def matches(self) -> dict[str, Array]:
-        """Matched pixels used in the fit, by camera."""
+        """Matched pixels (n, 2) used in the fit, by camera."""
         return {name: self.pixel[:, k] for k, name in enumerate(self.names)}
 
     def rig_at(self, x: Array) -> Rig:
-        """The rig with its cameras moved by parameters."""
-        cameras = moved(self.start, self.layout, x).cameras(self.observations.sizes)
+        """The rig after a step x (p,) of the parameters."""
+        cameras = stepped(self.start, self.layout, x).cameras(self.observations.sizes)
         return Rig({**self.rig.cameras, **dict(zip(self.names, cameras))}, self.rig.provenance)
 
-    def solve(self, loose: Sequence[str]) -> Solution:
+    def solve(self, free: Sequence[str]) -> Solution:
         """Most probable parameters if the cameras named may have moved."""
         covariance = self.covariance.copy()
-        for name in loose:
+        for name in free:
             k = self.layout.camera[self.names.index(name)]
             covariance[range(k, k + 6), range(k, k + 6)] += np.repeat([MOVED_TURN**2, MOVED_SHIFT**2], 3)
         scale = np.sqrt(np.diag(covariance))
@@ -139,46 +143,46 @@ class SightLineFit:
         return Solution(x, self.misfit(r[: self.pixel.size]), huber(r, HUBER_LIMIT))
 
     def _linearised(self, x: Array) -> tuple[Array, Array]:
-        """Normalised residuals (n, 2 cameras, 1) and derivatives (n, 2 cameras, p), the points eliminated."""
+        """Normalised residuals (n, 2 cameras, 1) and derivatives (n, 2 cameras, p), without the points."""
         point = np.stack(sight_points(self.rig_at(x), self.matches)[:3], axis=-1)
         pixel, J, A = linearised(replace(self.start, offset=point), self.layout, x, self.observations)
 
         def by_point(values: Array) -> Array:
-            """Reorder (cameras n, 2, ...) to (n, cameras, 2, ...); zero if a camera does not see a point."""
+            """Reorder (cameras n, 2, ...) to (n, cameras, 2, ...); zero if a camera did not see the point."""
             own = np.moveaxis(values.reshape(len(self.names), self.n, 2, -1), 0, 1)
             return np.ascontiguousarray(np.where(self.visible[..., None, None], own, 0.0))
 
         r = by_point(pixel) - np.where(self.visible[..., None], self.pixel, 0.0)[..., None]
         r = r.reshape(self.n, -1, 1) / self.std
         J = by_point(J).reshape(*r.shape[:2], -1) / self.std
-        # the residual that the point itself can remove is no misfit: project it out
+        # eliminate the points: project out the residuals that a shift of each point removes
         Q = np.linalg.qr(by_point(A).reshape(*r.shape[:2], 3))[0]
         return r - Q @ (Q.transpose(0, 2, 1) @ r), J - Q @ (Q.transpose(0, 2, 1) @ J)
 
     def angle(self, solution: Solution, name: str) -> float:
-        """Angle by which a solution turns a camera, degrees."""
+        """Angle by which a solution turns the named camera, degrees."""
         k = self.layout.camera[self.names.index(name)]
         return float(np.degrees(np.linalg.norm(solution.x[k : k + 3])))
 
-    def turn(self, solution: Solution, name: str) -> float:
-        """By how much a solution's turn shifts a camera's image, px."""
+    def image_shift(self, solution: Solution, name: str) -> float:
+        """Shift of the named camera's image by the turn of a solution, px."""
         return self.rig[name].fx * float(np.radians(self.angle(solution, name)))
 
     def misfit(self, projected: Array) -> float:
         """Robust distance by which sight lines miss each other, px, from normalised residuals."""
         norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
-        # each point's misfit, made comparable to a standard deviation by its degrees of freedom
-        median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))  # of chi
+        # normalise by the median of a chi distribution with 2 cameras - 3 degrees of freedom
+        median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))
         return float(np.median(norm / median))
 
     def misfit_at_start(self) -> float:
-        """The same for the rig as it is."""
+        """Robust misfit of the calibrated rig, px."""
         residual = sight_points(self.rig, self.matches)[3]
         return self.misfit(np.where(self.visible[..., None], residual, 0.0).reshape(-1) / self.std)
 
 
 def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[ParameterLayout, Array]:
-    """Parameters of the cameras and their covariance, from the calibration if the rig's file holds it."""
+    """Parameters of the cameras and their covariance (p, p), from the rig file or else from defaults."""
     stated = rig.provenance.get("covariance")
     columns: dict[str, list[str]] = {name: [] for name in names}
     if stated:
@@ -204,30 +208,30 @@ def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[Para
     return plan, covariance
 
 
-MIN_CHI2_DIFFERENCE = 40.0  # for one explanation to be better than another
-SHARP_MISFIT_PX = 0.3  # sharp images of one moment match better than this
-MAX_TURN_RATIO = 20.0  # a camera's turn moves its image by no more than this times the misfit that it removes
-WRONG_RIG_PX = 5.0  # a larger misfit is no moved camera, but another rig
+MIN_CHI2_DIFFERENCE = 40.0  # for one explanation to be better: with six parameters, 5 standard deviations
+SHARP_MISFIT_PX = 0.3  # px: misfit of sharp images that were taken at one moment
+MAX_TURN_RATIO = 20.0  # image shift by a camera's turn, over the misfit that the turn removes
+WRONG_RIG_PX = 5.0  # px: a larger misfit means a wrong rig, not a moved camera
 _WRONG_RIG = (
-    "the rig does not fit these images; are its cameras named as theirs, is it of this image size and crop, "
-    "and did its lens come through the conversion?"
+    "the rig does not fit these images; check the names of its cameras, the image size and crop, and, if the "
+    "rig was converted, its lens terms"
 )
 _OTHER_CAUSES = "are the frames of the same moments (`offset`), sharp and bright, and is the rig theirs?"
 
-Solutions = Mapping[str | None, Solution]  # by the camera that is free to have moved
+Solutions = Mapping[str | None, Solution]  # by the camera that may have moved; None: no camera
 
 
 @dataclass(frozen=True)
 class RigCheck:
-    """Whether the sight lines of matched pixels meet."""
+    """Whether the sight lines of matched pixels meet, and which camera has moved."""
 
-    misfit: float  # Robust distance by which they miss, px
-    expected: float  # What it would be if no camera had moved, px: with all cameras free to move
-    moved: str | None  # The camera that has moved; None if none has, or if several fit alike
+    misfit: float  # Robust distance by which sight lines miss, px
+    expected: float  # The same after the best correction of the cameras, px
+    moved: str | None  # The camera that has moved; None if none has, or if several explain the misfit
     faulty_cameras: tuple[str, ...]  # Cameras whose motion explains the misfit about equally well
-    angle: float  # By how much the moved camera has turned, degrees
-    sentence: str  # All this for the user
-    refused: bool = False  # Whether matches cannot correct the rig, which is left as it is
+    angle: float  # Angle by which the moved camera has turned, degrees
+    sentence: str  # The result for the user
+    refused: bool = False  # Whether matches cannot correct the rig, which then stays unchanged
 
 
 def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
@@ -236,9 +240,9 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
     Parameters
     ----------
     rig : Rig
-        As calibrated; its file holds the covariance.
+        The calibrated rig; its provenance holds the covariance of the parameters.
     matches : mapping of camera to array_like, (n, 2)
-        Pixels of the same pieces of surface in each camera; NaN where a camera has none.
+        Pixels of the same n points of the surface in each camera; NaN where a camera does not see a point.
         The surface may move.
     std : float, default 0.1
         Standard uncertainty of a match per axis, px.
@@ -246,11 +250,12 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
     Returns
     -------
     RigCheck
+        The misfit before and after a correction, px, and the camera that has moved.
 
     Raises
     ------
     CalibrationError
-        If there are fewer than two cameras or fifty matches.
+        If there are fewer than two cameras or fifty matches, or the rig does not have one of the cameras.
     """
     return _check(SightLineFit(rig, matches, std))[0]
 
@@ -267,17 +272,17 @@ def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
 
     if before > WRONG_RIG_PX and expected > SHARP_MISFIT_PX:
         return unchanged(f"sight lines miss by {before:.1f} px: {_WRONG_RIG}", refused=True)
-    # in units of the misfit that remains, not of the one stated
+    # normalise chi-squared by the misfit that remains, because the stated one may be wrong
     unit = max(expected / problem.std, 1e-9) ** 2
     chi2 = {name: solution.chi2 / unit for name, solution in solutions.items()}
-    # a turn that would move the image much further than the misfit it removes, but for a shift that undoes
-    # it, is no camera that has moved: matches do not distinguish the two
-    turn = {name: problem.turn(solutions[name], name) for name in problem.names}
+    # Matches hardly distinguish a turn of a camera from a shift that compensates it. A solution that turns a
+    # camera much, but removes little misfit, is such a pair of turn and shift: that camera has not moved.
+    turn = {name: problem.image_shift(solutions[name], name) for name in problem.names}
     removed = {name: np.sqrt(max(before**2 - solutions[name].misfit ** 2, 0.0)) for name in problem.names}
     movable = [name for name in problem.names if turn[name] < MAX_TURN_RATIO * removed[name]]
     best = min(movable or problem.names, key=lambda name: chi2[name])
     gain = chi2[None] - chi2[best]
-    # a misfit below a match's own error, which no motion explains, is none
+    # sight lines also meet if the misfit is below the error of a match and no motion explains it
     meet = before < 1.1 * expected or (not movable and before < problem.std)
     if meet or gain < MIN_CHI2_DIFFERENCE:
         sentence = f"no camera has moved: sight lines meet within {before:.2f} px"
@@ -320,25 +325,32 @@ def _refined(problem: SightLineFit, solution: Solution, check: RigCheck) -> Rig:
 
 
 def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig, RigCheck, WaterPlane]:
-    """Refine a rig from a record of still water, and bring z = 0 to the water's plane.
+    """Correct a rig from a record of still water, and bring z = 0 to the water's plane.
 
     Parameters
     ----------
     rig : Rig
-        As calibrated; the covariance in its file is the prior.
+        The calibrated rig; the covariance in its provenance is the prior.
     matches : mapping of camera to array_like, (n, 2)
-        Pixels of the same pieces of still water in each camera; NaN where a camera has none.
+        Pixels of the same n points of still water in each camera; NaN where a camera does not see a point.
     std : float, default 0.1
         Standard uncertainty of a match per axis, px.
 
     Returns
     -------
     rig : Rig
-        Refined and levelled.
+        The corrected rig, with z = 0 on the water.
     check : RigCheck
-        What had been wrong.
+        The misfit before and after the correction, px, and the camera that had moved.
     plane : WaterPlane
-        The water's plane before levelling; its ``rms`` states how flat it was.
+        The water's plane before levelling; its ``rms``, metres, is the flatness of the measured water.
+
+    Raises
+    ------
+    CalibrationError
+        As of `check_rig`.
+    RigError
+        If the points of the water are on a line.
     """
     problem = SightLineFit(rig, matches, std)
     check, solutions = _check(problem)
@@ -350,8 +362,8 @@ def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig,
     tilt = {name: float(np.hypot(*plane.slope)) for name, (_, plane) in levelled.items()}
     best = min(tilt, key=lambda name: tilt[name])
     if len(tilt) > 1:
-        # sight lines alone do not distinguish these; but the target was level with the water, so the wrong
-        # explanation tilts the water's plane
+        # Sight lines alone do not tell which of these cameras has moved. But the rig was level with the
+        # water, and correcting a wrong camera tilts the water's plane.
         faulty = tuple(name for name in check.faulty_cameras if tilt[name] < 3.0 * tilt[best])
         angle = problem.angle(solutions[best], str(best))
         check = _moved_camera(str(best), faulty, angle, check.misfit, check.expected)

@@ -1,4 +1,9 @@
-"""Crossings of strings to a few hundredths of a pixel."""
+"""Fit crossings of two strings to a few hundredths of a pixel.
+
+The model of an image around a crossing is a plane background plus two straight strings. A string's profile is
+a box convolved with a Gaussian, which stands for the blur by lens and pixel. An arm is a string on one side
+of the crossing. The flux of a string is its brightness integrated across it.
+"""
 
 import math
 from dataclasses import dataclass
@@ -13,8 +18,8 @@ from wavefield.robust import PER_MEDIAN
 
 @compiled(inline="always")
 def profile(d: float, u: float, s: float) -> tuple[float, float, float]:
-    """Profile of a string of unit flux at a distance d from its middle, px; derivatives by d and by u.
-    A box of half width sqrt(u) convolved with a Gaussian of standard deviation s: the lens and the pixel.
+    """Profile of a string of unit flux at a distance d, px, from its axis, and derivatives by d and by u.
+    The box has a half width of sqrt(u), the Gaussian a standard deviation of s, px.
     """
     if u > 0.1 * s * s:
         h = math.sqrt(u)
@@ -23,7 +28,7 @@ def profile(d: float, u: float, s: float) -> tuple[float, float, float]:
         gm = math.exp(-0.5 * m * m) * 0.3989422804014327
         f = (math.erf(p * 0.7071067811865476) - math.erf(m * 0.7071067811865476)) / (4.0 * h)
         return f, (gp - gm) / (2.0 * h * s), ((gp + gm) / (2.0 * h * s) - f / h) / (2.0 * h)
-    # small or negative u: a Gaussian of the same variance, which joins smoothly
+    # for small or negative u, a Gaussian of the same variance continues the profile smoothly
     v = s * s + u / 3.0
     f = math.exp(-0.5 * d * d / v) * 0.3989422804014327 / math.sqrt(v)
     return f, -d * f / v, f * (d * d / v - 1.0) / (6.0 * v)
@@ -31,11 +36,11 @@ def profile(d: float, u: float, s: float) -> tuple[float, float, float]:
 
 Pair = tuple[float, float]
 
-# order of the parameters of one crossing; those from FLUX1 on enter the model linearly
+# order of the parameters of one crossing; the model is linear in those from FLUX1 on
 CX, CY, ANGLE1, ANGLE2, WIDTH1, WIDTH2, FLUX1, FLUX2, GROUND, SLOPE_X, SLOPE_Y, OVERLAP, COUNT = range(13)
 LINEAR = COUNT - FLUX1
-TOLERANCE = 2e-4  # px: a fit ends when the centre moves less; a tenth of the error in the best images
-MAX_ARM = 18.0  # px: of a string on either side of a crossing
+TOLERANCE = 2e-4  # px: a fit ends when the centre moves less, a tenth of the error in the best images
+MAX_ARM = 18.0  # px: length of an arm; tuned on simulated string grids
 
 
 @dataclass(frozen=True)
@@ -47,20 +52,19 @@ class Crossings:
     angle: Array  # (n, 2): Directions of the two strings in the image, radians
     sigma: Array  # (n, 2): Standard deviation of the two profiles, px
     flux: Array  # (n, 2): Brightness of the two strings, integrated across them, grey px
-    arms: Array  # (n, 4): Brightness of each of the four arms relative to its string's
-    misfit: Array  # (n,): Residual relative to the noise; about 1 where the model holds
-    parameters: Array  # (n, 12): All parameters, to start a further fit from
-    # (n, 4): Mean grey and mean squared residual next to the strings, and the same on the strings
-    noise: Array
+    arms: Array  # (n, 4): Brightness of each arm, relative to its string's
+    misfit: Array  # (n,): Residual over noise, about 1 where the model holds; -1 if the fit failed
+    parameters: Array  # (n, 12): All parameters, from which a further fit can start
+    noise: Array  # (n, 4): Mean grey and mean squared residual, of the background and of the strings
 
     def only(self, keep: Mask) -> "Crossings":
-        """The crossings that a mask (n,) selects."""
+        """Crossings that a mask (n,) selects."""
         return Crossings(**{name: value[keep] for name, value in vars(self).items()})
 
 
 @compiled()
 def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: float) -> Array:
-    """Pixels within the arms' parallelogram and a band along either string: x, y and grey, (3, n)."""
+    """Pixels within the parallelogram of the arms and a band around either string: x, y and grey, (3, n)."""
     rows, columns = image.shape
     det = arm1[0] * arm2[1] - arm1[1] * arm2[0]
     wide, tall = abs(arm1[0]) + abs(arm2[0]), abs(arm1[1]) + abs(arm2[1])
@@ -87,8 +91,9 @@ def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: flo
 def _rows(
     pixels: Array, p: Array, blur: float, variance: Pair, spread: float, free: int, misses: Array, rows: Array
 ) -> float:
-    """Weighted equations of all pixels for the first `free` parameters, linear ones first; returns the count.
-    misses (2, n): residuals, in grey and in standard deviations; rows (13, n): derivatives, residuals last.
+    """Fill the weighted equations of all pixels, and return the number of pixels with a weight.
+    rows (13, n): derivatives by the first `free` parameters, the linear ones first; the last row holds the
+    residuals. misses (2, n): unweighted residuals in grey, and their size in standard deviations.
     """
     c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
     count = 0.0
@@ -108,7 +113,7 @@ def _rows(
         r = pixels[2, k] - model
         w = 1.0 / math.sqrt(variance[0] + variance[1] * max(model, 0.0))
         misses[0, k], misses[1, k] = r, abs(r) * w
-        t = min(misses[1, k] / spread, 1.0)  # biweight: residuals beyond six deviations have no weight
+        t = min(misses[1, k] / spread, 1.0)  # Tukey's biweight: no weight beyond six standard deviations
         count += t < 1.0
         w *= 1.0 - t * t
         rows[0, k], rows[1, k], rows[2, k] = w * f1, w * f2, w
@@ -128,7 +133,7 @@ def _rows(
 
 @compiled()
 def _advance(p: Array, steps: Array, blur: float) -> float:
-    """Add the steps (linear parameters first) within limits; returns how far the centre moved at most, px."""
+    """Add limited steps (linear parameters first); return the larger step of the centre's x and y, px."""
     largest = 0.0
     for i in range(len(steps)):
         step = steps[i]
@@ -158,7 +163,7 @@ def _evaluate(
     arms: Array,
     noise: Array,
 ) -> None:
-    """Fill arms: brightness of each relative to its string; and noise: of the ground and of the strings."""
+    """Fill `arms` (4,) and `noise` (4,) of one crossing, as `Crossings` describes them."""
     c1, s1, c2, s2 = math.cos(angles[0]), math.sin(angles[0]), math.cos(angles[1]), math.sin(angles[1])
     v1, v2 = math.sqrt(blur * blur + p[WIDTH1] / 3.0), math.sqrt(blur * blur + p[WIDTH2] / 3.0)
     found = np.zeros(4)
@@ -205,8 +210,8 @@ def _fit_one(
     arms: Array,
     noise: Array,
 ) -> float:
-    """Fit one crossing by damped Gauss-Newton, p and the three arrays of results in place.
-    Returns the misfit over the noise, or -1 if too few pixels are left.
+    """Fit one crossing by damped Gauss-Newton steps; fills p, covariance, arms and noise in place.
+    Returns the residual over the noise, or -1 if too few pixels are left.
     """
     n = pixels.shape[1]
     if n < 45:
@@ -235,14 +240,14 @@ def _fit_one(
     for axis in range(2):
         covariance[axis] = inverse[LINEAR + axis, LINEAR + axis] * max(chi, 1e-3) ** 2
     _evaluate(pixels, p, angles, blur, misses, spread, arms, noise)
-    return chi if np.isfinite(arms).all() else -1.0  # a string of no brightness is none
+    return chi if np.isfinite(arms).all() else -1.0  # arms are not finite if a string has no brightness
 
 
 @compiled()
 def _fit_all(
     image: Image, arms: Array, blur: float, band: Array, variance: Pair, p: Array, out: Array
 ) -> None:
-    """Fit crossings with arms (n, 2, 2): parameters p (n, 12) in place, results (n, 11) as sliced below."""
+    """Fit all crossings with arms (n, 2, 2), px; updates p (n, 12) and fills `out` (n, 11)."""
     for k in range(len(p)):
         pixels = _pixels_near(image, p[k], arms[k, 0], arms[k, 1], band[k])
         covariance, brightness, noise = out[k, :2], out[k, 2:6], out[k, 6:10]
@@ -250,7 +255,9 @@ def _fit_all(
 
 
 def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> Array:
-    """Parameters (n, 12) to begin a fit with, all lengths in px; the first, linear step fits the rest."""
+    """Start values (n, 12) of centre, angles and widths; the first step solves for the linear parameters.
+    The crossings are at `pixel` (n, 2) with mesh vectors `slopes` (n, 2, 2); sigma and blur are in px.
+    """
     p = np.zeros((len(pixel), COUNT))
     p[:, CX], p[:, CY] = pixel.T
     p[:, ANGLE1] = np.arctan2(slopes[:, 0, 1], slopes[:, 0, 0])
@@ -266,8 +273,9 @@ def fit_crossings(
     blur: float,
     noise: tuple[float, float] = (1.0, 0.0),
 ) -> Crossings:
-    """Fit two crossing strings, boxes convolved with a Gaussian (blur, px), around each of start (n, 12).
-    Damped Gauss-Newton with biweights at six robust deviations.
+    """Fit crossings from start parameters (n, 12), with mesh vectors `slopes` (n, 2, 2) and blur in px.
+    `noise` is the variance of a pixel at zero grey and its increase per grey level. Damped Gauss-Newton steps
+    with Tukey's biweight at six robust standard deviations.
     """
     parameters = np.array(start, float)
     length = np.hypot(slopes[..., 0], slopes[..., 1])
@@ -281,7 +289,7 @@ def fit_crossings(
     _fit_all(pixels, arms, float(blur), band, grey_variance, parameters, results)
     covariance, misfit = results[:, :2], results[:, 10]
     good = (misfit >= 0) & np.isfinite(parameters).all(1) & (covariance > 0).all(1)
-    # the biweight makes Gaussian residuals smaller by a factor 1.08 than it makes the estimate sharper
+    # 1.08: the biweight reduces Gaussian residuals by this factor more than the error of the estimate
     std = np.where(good, 1.08 * np.sqrt(np.where(good, covariance.sum(1), 0) / 2), np.inf)
     return Crossings(
         pixel=parameters[:, :2],

@@ -1,4 +1,7 @@
-"""Find a grid of white strings: the crossings, their order, and the discs that mark the axes."""
+"""Find a grid of white strings: its crossings, their indices, and the two discs that mark the axes.
+
+The larger disc marks node (0, 0), the smaller one node (1, 0). A lattice is a set of nodes with their pixels.
+"""
 
 import cv2
 import numpy as np
@@ -23,8 +26,8 @@ from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
 
-SCALES = (1.5, 2.5, 4.0)  # px; a string may be under 2 px wide in one camera and 4 px in another
-MIN_SEED_LIGHT = 0.35  # along a seed's vectors, relative to the light of the crossings
+SCALES = (1.5, 2.5, 4.0)  # px, of the smoothing; strings are from less than 2 px to 4 px wide
+MIN_SEED_LIGHT = 0.35  # brightness between a seed and its neighbours, relative to that of the crossings
 NO_GRID = (
     "no grid of white strings was found in the image; it needs a dark ground, and strings in focus that "
     "are brighter than it"
@@ -32,7 +35,7 @@ NO_GRID = (
 
 
 def best_lattice(image: Image) -> tuple[TargetLattice, float]:
-    """The lattice whose meshes run along the most light, and the scale of its candidates."""
+    """The lattice with the most light along its meshes, and the smoothing scale, px, that found it."""
     best: TargetLattice | None = None
     best_scale, most = SCALES[0], 0.0
     for scale in SCALES:
@@ -55,8 +58,8 @@ def best_lattice(image: Image) -> tuple[TargetLattice, float]:
 
 
 def _light_along(image: Image, lattice: TargetLattice) -> float:
-    """Light on the lines between neighbouring nodes in excess of that next to them, summed over their length.
-    A lattice that noise or dirt suggests has many nodes, but no strings between them.
+    """Excess brightness of the lines between neighbouring nodes over their surroundings, times their length.
+    Noise or dirt can form a lattice of many nodes, but without strings between them.
     """
     place, filled = lattice.place, lattice.filled
     along = np.linspace(0.25, 0.75, 16)[None, :, None]
@@ -73,7 +76,7 @@ def _light_along(image: Image, lattice: TargetLattice) -> float:
 
 
 def _seeds(image: Image, candidates: Candidates) -> list[tuple[Array, Array, Array]]:
-    """Crossings near the middle with two neighbours each along a string: (start, e1, e2), right-handed."""
+    """Seeds near the image's centre: a crossing (2,) and mesh vectors e1, e2 along its strings, px."""
     height, width = image.shape
     light = _above_ground(image, candidates.scale)
     pixel = candidates.pixel[candidates.strong]
@@ -92,7 +95,7 @@ def _seeds(image: Image, candidates: Candidates) -> list[tuple[Array, Array, Arr
             arms = arms[np.percentile(lit, 15, axis=1) > MIN_SEED_LIGHT * bright]
         pair = independent_pair(arms)
         if pair is not None:
-            # rows run downwards in an image, therefore the cross product of a right-handed pair is negative
+            # image rows run downwards, so the cross product of a right-handed pair is negative
             e1, e2 = pair if cross(*pair) < 0 else pair[::-1]
             seeds.append((pixel[k], e1, e2))
         if len(seeds) == MAX_SEEDS:
@@ -108,7 +111,7 @@ def _above_ground(image: Image, scale: float) -> Image:
 
 
 def sample(image: Image, pixel: Array) -> Image:
-    """Bilinear values at pixel positions (..., 2); those outside take the nearest pixel's value."""
+    """Bilinear interpolation at pixels (..., 2); outside the image, the value of the nearest pixel."""
     flat = pixel.reshape(-1, 2).astype(np.float32)
     rows = 30000  # cv2.remap takes no more than 32767 rows
     parts = [
@@ -119,12 +122,12 @@ def sample(image: Image, pixel: Array) -> Image:
 
 
 FOUR_NEIGHBOURS = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-CIRCLES = np.linspace(0.02, 0.45, 30)  # meshes: radii of the circles on which marks are sampled
-DISC_RADII = np.linspace(0.05, 0.38, 34)  # meshes: radii of discs that are compared with the samples
+CIRCLES = np.linspace(0.02, 0.45, 30)  # meshes: radii of the circles on which brightness is sampled
+DISC_RADII = np.linspace(0.05, 0.38, 34)  # meshes: radii of the model discs
 
 
 def numbered_from_marks(image: Image, smooth: SmoothMap, node: Nodes) -> Nodes:
-    """Renumber nodes so that the larger disc is (0, 0) and the smaller one (1, 0)."""
+    """Renumber nodes (n, 2) so that the larger disc is at (0, 0) and the smaller one at (1, 0)."""
     origin, step = _marks(image, smooth, node)
     rotation = np.array([[step[0], step[1]], [-step[1], step[0]]])
     out: Nodes = (node - origin) @ rotation.T
@@ -132,7 +135,7 @@ def numbered_from_marks(image: Image, smooth: SmoothMap, node: Nodes) -> Nodes:
 
 
 def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
-    """Node of the larger disc, and the step from it to the smaller one."""
+    """Node of the larger disc, and the step from it to the smaller disc, (2,) each."""
     height, width = image.shape
     places = around(node, np.vstack([[[0, 0]], FOUR_NEIGHBOURS]))
     pixel = smooth(places)
@@ -140,7 +143,7 @@ def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
     places, pixel = places[inside], pixel[inside]
     blurred = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.7), np.float32)
     excess, usual = _circles(blurred, pixel, smooth.slopes(places))
-    # all directions first; if a spot of light or dirt spoils a disc, the median over directions
+    # if a spot of light or dirt spoils a disc, the median over directions may still find it
     median = np.median(excess, axis=2, keepdims=True), np.median(usual, axis=1, keepdims=True)
     for (on_circles, of_strings), min_quality in (((excess, usual), 0.7), (median, 1.5)):
         pairs = _pairs_of_discs(places, *_discs(on_circles, of_strings), min_quality)
@@ -155,7 +158,7 @@ def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
 def _pairs_of_discs(
     places: Nodes, quality: Array, radius: Array, grey: Array, min_quality: float
 ) -> list[tuple[float, Nodes, Nodes]]:
-    """Candidate pairs of discs: merit, node of the larger disc, step to the smaller; best first."""
+    """Candidate pairs of discs as (score, node of the larger disc, step to the smaller), best first."""
     row = np.full((2 * REACH + 3, 2 * REACH + 3), -1)
     row[tuple((places + REACH + 1).T)] = np.arange(len(places))
     pairs = []
@@ -166,15 +169,15 @@ def _pairs_of_discs(
                 continue
             clearest = max(quality[a], quality[b]) > 0.5 * quality.max()
             if clearest and 0.2 < quality[b] / quality[a] < 5.0 and 0.5 < grey[b] / grey[a] < 2.0:
-                merit = min(quality[a], quality[b]) * min(grey[a], grey[b])
-                pairs.append((merit, places[a], step))
+                score = min(quality[a], quality[b]) * min(grey[a], grey[b])
+                pairs.append((score, places[a], step))
     pairs.sort(key=lambda pair: -pair[0])
     return pairs
 
 
 def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
-    """Light on circles of the target's plane around nodes, in directions away from the strings.
-    Returns the excess over a node without a disc, (node, circle, direction), and the light around that one.
+    """Brightness on circles around nodes in the target's plane, in directions away from the strings.
+    Returns the excess over a typical node, (node, circle, direction), and that node, (circle, direction).
     """
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
@@ -186,8 +189,8 @@ def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
 
 
 def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
-    """Disc of uniform brightness that fits the light around each node best: quality, radius (meshes), grey.
-    Quality is the light that the disc explains over the light that it does not.
+    """Best fit of a uniform disc to the brightness around each node: quality, radius (meshes) and grey, (n,).
+    Quality is the ratio of the brightness that the disc explains to the residual.
     """
     noise = np.median(np.abs(excess[:, -10:])) + 1e-3
     disc = np.clip((DISC_RADII[:, None] - CIRCLES) / 0.05 + 0.5, 0, 1)[..., None]
@@ -199,23 +202,24 @@ def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
     for _ in range(2):
         light = (np.minimum(excess, white) * area).reshape(len(excess), -1)
         length = np.linalg.norm(light, axis=1) + 1e-9
-        share = light @ (disc / norm[:, None]).T / length[:, None]
-        best = share.argmax(1)
-        share = np.clip(share[np.arange(len(excess)), best], 0, 0.9999)
-        grey = share * length / norm[best]
+        cosine = light @ (disc / norm[:, None]).T / length[:, None]
+        best = cosine.argmax(1)
+        cosine = np.clip(cosine[np.arange(len(excess)), best], 0, 0.9999)
+        grey = cosine * length / norm[best]
         significant = grey > max(5 * noise, 0.3 * usual.max())
-        quality = np.where(significant, share / np.sqrt(1 - share**2), 0.0)
-        white = 1.2 * grey[quality.argmax()]  # spots brighter than the discs count no more than they
+        quality = np.where(significant, cosine / np.sqrt(1 - cosine**2), 0.0)
+        white = 1.2 * grey[quality.argmax()]  # limit specular spots to little more than a disc's brightness
     return quality, DISC_RADII[best], np.maximum(grey, 1e-6)
 
 
-BLURS = np.array([0.46, 0.51, 0.56, 0.61, 0.67, 0.74, 0.83, 0.945, 1.14])  # px: tried for lens and pixel
-MAX_BLUR_CROSSINGS = 24  # by which the blur is fitted
+# px: trial values of the standard deviation of the blur by lens and pixel; the best one is interpolated
+BLURS = np.array([0.46, 0.51, 0.56, 0.61, 0.67, 0.74, 0.83, 0.945, 1.14])
+MAX_BLUR_CROSSINGS = 24  # used to find the blur, for speed
 
 
 def find_strings(image: Image, target: Target) -> TargetPoints:
-    """Find the crossings of a grid of white strings on a dark ground, in an image that is not mirrored.
-    The calibration detects a mirrored one, because the target's poses then differ between cameras.
+    """Find the crossings of a grid of white strings on a dark ground.
+    A mirrored image is not detected here, but later, because the target's poses then differ between cameras.
     """
     lattice, scale = best_lattice(image)
     node, pixel = lattice.node, lattice.pixel
@@ -228,7 +232,7 @@ def find_strings(image: Image, target: Target) -> TargetPoints:
 def _fitted(
     image: Image, node: Nodes, pixel: Array, scale: float
 ) -> tuple[Crossings, Nodes, tuple[str, ...]]:
-    """Fit all crossings, then those that the lattice lacks; reject; fit once more with the noise found."""
+    """Fit all crossings, add the missing ones, reject implausible ones, and fit again with measured noise."""
     height, width = image.shape
     smooth = _map(node, pixel)
     node = node[~_under_marks(node)]
@@ -273,7 +277,7 @@ def _fitted(
 
 
 def _under_marks(node: Nodes) -> Mask:
-    """Nodes covered by the two discs."""
+    """Which nodes (n, 2) the two discs cover."""
     out: Mask = (node[:, 1] == 0) & ((node[:, 0] == 0) | (node[:, 0] == 1))
     return out
 
@@ -286,14 +290,14 @@ def _map(node: Nodes, pixel: Array) -> SmoothMap:
 
 
 def _missing(node: Nodes) -> Nodes:
-    """Nodes within two of the present ones that were not found, without those under the marks."""
+    """Nodes that were not found, within two indices of found ones and not under a disc, (m, 2)."""
     places = around(node, WINDOW)
     present = set(map(tuple, node))
     return np.array([n for n in places[~_under_marks(places)] if tuple(n) not in present]).reshape(-1, 2)
 
 
 def _plausible(fit: Crossings, expected: Array, slopes: Array) -> Mask:
-    """Crossings that were fitted close to the expected pixels, with three arms along the mesh at least."""
+    """Which crossings are near their expected pixels, with at least three arms along the mesh vectors."""
     length = np.hypot(slopes[..., 0], slopes[..., 1])
     turn = fit.angle - np.arctan2(slopes[..., 1], slopes[..., 0])
     turn = np.abs((turn + np.pi / 2) % np.pi - np.pi / 2)
@@ -310,7 +314,7 @@ def _plausible(fit: Crossings, expected: Array, slopes: Array) -> Mask:
 
 
 def _like_neighbours(fit: Crossings) -> Mask:
-    """Crossings whose strings are about as wide and bright as those of their neighbours."""
+    """Which crossings have strings about as wide and bright as their neighbours."""
     _, near = cKDTree(fit.pixel).query(fit.pixel, min(13, len(fit.pixel)))
     width = fit.sigma / np.median(fit.sigma[near], axis=1)
     flux = fit.flux / np.median(fit.flux[near], axis=1)
@@ -321,7 +325,7 @@ def _like_neighbours(fit: Crossings) -> Mask:
 
 
 def _lens_blur(image: Image, fit: Crossings, slopes: Array, good: Mask) -> float:
-    """The blur with which a box and a Gaussian come closest to the strings' profiles, px."""
+    """Standard deviation of the blur, px, that fits the profiles of the strings best."""
     chosen = np.flatnonzero(good)
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(MAX_BLUR_CROSSINGS, len(chosen))).astype(int)]
     misfit = np.empty(len(BLURS))
@@ -337,7 +341,7 @@ def _lens_blur(image: Image, fit: Crossings, slopes: Array, good: Mask) -> float
 
 
 def _noise(fit: Crossings, good: Mask) -> tuple[float, float]:
-    """Variance of a pixel at zero grey and its increase per grey, from the residuals."""
+    """Noise variance of a pixel at zero grey, and its increase per grey level, from the residuals."""
     ground, at_ground, string, at_string = np.median(fit.noise[good], axis=0)
     slope = max((at_string - at_ground) / max(string - ground, 1e-3), 0.0)
     return max(at_ground - slope * ground, 0.1 * at_ground, 1e-4), slope

@@ -1,4 +1,7 @@
-"""What a calibration target is."""
+"""Description of a calibration target: its pattern and dimensions.
+
+A node is a marked point of the target: a string crossing, a chessboard corner or the centre of a dot.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -30,34 +33,35 @@ Nodes = Annotated[int, Field(ge=3)]
 class Target:
     """A plane calibration target, as the `target:` block of the experiment file describes it.
 
-    The axes of the target are right-handed seen from its printed (or upper) side: x along the first
-    index, y along the second, z out of it towards the camera.
+    The target's axes are right-handed. x follows the first node index, y the second, and z points out of
+    the printed (or upper) side, towards the camera.
 
     Parameters
     ----------
     kind : {"strings", "chessboard", "dots", "charuco", "two-level", "points"}
         Pattern.
     mesh : float
-        Distance between neighbouring nodes, m. Two-level: between rows, half of
-        the spacing within a row; points: unit of the tables (0.001 for mm).
+        Distance between neighbouring nodes, m. For a two-level target it is the distance between rows, which
+        is half of the spacing within a row. For points it is the unit of the tables (0.001 for mm).
     shape : tuple of int, optional
-        Nodes along x and y: inner corners (chessboard), squares (ChArUco).
+        Number of nodes along x and y. A chessboard counts inner corners, a ChArUco board counts squares.
     origin_mark : str
-        Mark of node (0, 0): disc (strings), square (two-level), ring (dots). Three dots are rings: the
-        origin and one each along x and y.
+        Mark of node (0, 0): a disc (strings), a square (two-level) or a ring (dots). A grid of dots has
+        three rings: one at the origin, one along x and one along y.
     x_mark : str
-        Small disc (strings): at node (1, 0). Triangle (two-level): along x from the square; if both marks
-        are between the dots, triangle at (1, 0) and square at (0, 1).
+        Mark of the x axis. Strings: a small disc at node (1, 0). Two-level: a triangle, in the row of the
+        square. If both marks are between the dots, the triangle is at (1, 0) and the square at (0, 1).
     diameter : float, optional
         Diameter of a dot, m.
     dictionary : str
-        OpenCV's name of the ChArUco markers.
+        OpenCV's name of the dictionary of ChArUco markers.
     marker : float, optional
         Side of a ChArUco marker, m.
     depth : float, optional
-        Two-level: depth of the other level below the origin's, m; negative above.
+        Two-level: depth of the second level below the level that holds the origin, m; negative if it is
+        above.
     origin : (float, float)
-        Position of node (0, 0) of the flat target, m.
+        Position (x, y) of node (0, 0) in the physical frame when the target lies on z = 0, m.
 
     Raises
     ------
@@ -102,19 +106,19 @@ class Target:
 
     @property
     def ringed(self) -> bool:
-        """Whether rings number a grid of dots, which may then be partly out of view."""
+        """Whether three rings mark the axes of a grid of dots, which may then be partly out of view."""
         return self.origin_mark == "ring"
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], path: Path | None = None) -> "Target":
-        """A target from the `target:` block of an experiment file.
+        """Build a target from the `target:` block of an experiment file.
 
         Parameters
         ----------
         data : mapping
             Names and values of the parameters of `Target`.
         path : path, optional
-            The experiment file, to be named with the line at fault.
+            The experiment file. Error messages name it, with the line at fault.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Find the target in images; from the target images of an experiment to its rig."""
+"""Find the target in images, and calibrate the rig of an experiment from its target images."""
 
 import os
 from collections.abc import Callable
@@ -23,17 +23,17 @@ from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.series.target_listing import find_views
 
-TABLES = (".csv", ".txt", ".dat", "")  # endings of points found by another program
+TABLES = (".csv", ".txt", ".dat", "")  # suffixes of tables of points that another program found
 
 
 @dataclass(frozen=True)
 class TargetRig:
     """Result of calibrating an experiment."""
 
-    calibration: Calibration  # The rig and how far it can be trusted
-    views: dict[str, dict[str, TargetPoints]]  # Points found in the images
-    images: dict[str, dict[str, Path]]  # The images
-    notes: tuple[str, ...]  # Images without a target
+    calibration: Calibration  # The rig and its uncertainties
+    views: dict[str, dict[str, TargetPoints]]  # Points found, by camera and pose of the target
+    images: dict[str, dict[str, Path]]  # Image files, by camera and pose
+    notes: tuple[str, ...]  # One sentence for each image in which no target was found
 
 
 FINDERS = {
@@ -43,9 +43,9 @@ FINDERS = {
     "charuco": find_charuco,
     "two-level": find_two_level,
 }
-MIN_SIDE = 32  # px
-MIN_CONTRAST = 4.0 / 255.0  # of the brightest grey
-MAX_SATURATED = 0.2  # of the image: if nothing is found in more, overexposure is named as the cause
+MIN_SIDE = 32  # px: room for a row of four nodes that are eight pixels apart
+MIN_CONTRAST = 4.0 / 255.0  # of the brightest grey: four grey levels of an 8-bit image
+MAX_SATURATED = 0.2  # fraction of pixels; above it a failed search is blamed on overexposure
 
 
 def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
@@ -54,19 +54,20 @@ def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
     Parameters
     ----------
     image : ndarray, (row, column), any real dtype
-        The image; bright where the strings are white.
+        The image. White strings must have large values.
     target : Target
         Kind and dimensions of the target.
 
     Returns
     -------
     TargetPoints
-        Indices of the nodes found, their pixel coordinates and standard uncertainties.
+        Indices of the nodes found (n, 2), their pixel coordinates (n, 2) and standard uncertainties (n,), px.
 
     Raises
     ------
     CalibrationError
-        If the image is empty or overexposed, or shows no such target, or a mirrored one, or too little of it.
+        If the image is empty or overexposed, or shows no such target, too little of it, or a mirrored
+        ChArUco board.
     """
     grey = scaled(image)
     try:
@@ -81,7 +82,7 @@ def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
 
 
 def scaled(image: NDArray[np.generic]) -> Image:
-    """The image as float32 with its brightest patch at 255, refused when it cannot show a target."""
+    """Convert an image to float32 with its brightest patch at 255; refuse one that cannot show a target."""
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE:
         raise CalibrationError(
@@ -90,18 +91,18 @@ def scaled(image: NDArray[np.generic]) -> Image:
     grey = image.astype(np.float32)
     if not np.isfinite(grey).all():
         raise CalibrationError("the image holds values that are not numbers; export it from the camera again")
-    # hot pixels and sparkles are no part of a target, whose marks are more than a few pixels wide
+    # the marks of a target are wider than a few pixels: clip hot pixels and sparkles to the brightest mark
     grey = np.minimum(grey, cv2.medianBlur(grey, 5).max())
     low, high = float(grey.min()), float(grey.max())
     if high - low < MIN_CONTRAST * max(abs(high), 1e-12):
         raise CalibrationError(
-            "the image is empty: all its pixels have one grey; check light, cap and exposure"
+            "the image is empty: all its pixels have one grey; check light, lens cap and exposure"
         )
     return np.asarray(grey * np.float32(255.0 / high))
 
 
 def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None = None) -> TargetPoints | str:
-    """Find the target in one image; a sentence where it cannot be found."""
+    """Find the target in one image or table; return a sentence if that fails."""
     try:
         if is_table(path):
             return read_points(path, size, unit=target.mesh if target.kind == "points" else None)
@@ -112,7 +113,7 @@ def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None = Non
 
 
 def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
-    """Width and height of the images of each camera, px; none where there are no images yet."""
+    """Width and height of each camera's images, px; an empty mapping if there are no images yet."""
     try:
         return {name: (one.shape[1], one.shape[0]) for name, one in experiment.open_frames().items()}
     except (ExperimentError, FrameError):
@@ -120,13 +121,13 @@ def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
 
 
 def placed_at(points: TargetPoints, height: float) -> TargetPoints:
-    """Points of a target parallel to z = 0 at a known height (metres), its axes along those of the frame."""
+    """Place points at a known height (metres): the target is parallel to z = 0, with the frame's axes."""
     own = np.zeros(len(points)) if points.z is None else points.z
     return replace(points, z=own + height, placed=True)
 
 
 def is_table(path: Path) -> bool:
-    """Whether a file holds points in place of an image."""
+    """Whether a file is a table of points, not an image."""
     return path.suffix.lower() in TABLES
 
 
@@ -135,25 +136,26 @@ def calibrate_experiment(
     progress: Callable[[int, int], None] | None = None,
     solving: Callable[[int, int], None] | None = None,
 ) -> TargetRig:
-    """Find the rig of an experiment from its target images.
+    """Calibrate the rig of an experiment from its target images.
 
     Parameters
     ----------
     experiment : path or Experiment
-        With a calibration block.
+        An experiment with a `calibration:` block.
     progress : callable, optional
-        Called with (images done, all images).
+        Called with (images done, number of images).
     solving : callable, optional
-        Called with (camera models fitted, all of them).
+        Called with (camera models fitted, number of models).
 
     Returns
     -------
     TargetRig
+        The calibration, the points found in each image, and notes on images without a target.
 
     Raises
     ------
     CalibrationError
-        If target images are missing, or in none of them is the target found.
+        If target images are missing, or `heights` names an unknown pose.
 
     Examples
     --------
@@ -180,10 +182,10 @@ def calibrate_experiment(
         (camera, pose, images[camera][pose]) for pose in order for camera in images if pose in images[camera]
     ]
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
-    notes: list[str] = []  # images without a target, and why
+    notes: list[str] = []  # why images show no target
     frame_sizes = _frame_sizes(experiment) if any(is_table(p) for _, _, p in jobs) else {}
     sizes = [frame_sizes.get(camera) for camera, _, _ in jobs]
-    # threads suffice: OpenCV and the compiled loops leave Python's lock
+    # threads suffice: OpenCV and the compiled loops release Python's global lock
     pool = ThreadPoolExecutor(min(os.cpu_count() or 1, len(jobs)))
     try:
         found = pool.map(_find_in_file, [path for _, _, path in jobs], [target] * len(jobs), sizes)

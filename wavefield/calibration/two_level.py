@@ -1,4 +1,9 @@
-"""Find a two-level target of staggered dots."""
+"""Find a two-level target: dots on the two levels of a stepped plate.
+
+The dots of each level form a lattice of cells two meshes wide. The dots of the other level are near the
+middles of these cells, shifted by the parallax between the levels. A square and a triangle mark the axes.
+They either replace two dots of one level, or lie between dots.
+"""
 
 import cv2
 import numpy as np
@@ -13,16 +18,16 @@ from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
-MIN_SKEWNESS = 0.08  # of a triangle; below 0.03 of most dots
-MAX_RATIO = 1.75  # of the differences of square and triangle from a dot: dust makes one of them alone
-PATCH_REACH = 0.19  # of a cell of one level: half the side of the patch around a dot
-PATCH_SAMPLES = 25  # along each side of it
-MAX_OFF_SITE = 0.16  # meshes: a mark between the dots beside its place
+MIN_SKEWNESS = 0.08  # of a triangle; most dots are below 0.03
+MAX_RATIO = 1.75  # between the differences of square and triangle from a dot; dust on one dot exceeds it
+PATCH_REACH = 0.19  # cells: half the side of the patch around a dot
+PATCH_SAMPLES = 25  # along each side of a patch
+MAX_OFF_SITE = 0.16  # meshes between a mark and the midpoint of two dots
 
 
 class PlateLevel:
-    """Dots of one level: indices of its own lattice, pixels, the map between.
-    In meshes a dot is at ``2 node + shift``: the second level's lattice is set off by one.
+    """Dots of one level: indices in the level's own lattice, pixels, and the map between them.
+    In meshes a dot is at ``2 node + shift``; the shift is 0 on the first level and 1 on the second.
     """
 
     def __init__(self, node: Nodes, pixel: Array, shift: int = 0) -> None:
@@ -32,7 +37,7 @@ class PlateLevel:
         self.side = float(np.median(np.hypot(slopes[..., 0], slopes[..., 1])))
 
     def index_of(self, pixel: Array) -> Array:
-        """Fractional indices (n, 2) of any pixels: the map inverted."""
+        """Fractional node indices (n, 2) of pixels (n, 2), by Newton's method."""
         inverse = np.linalg.inv(self.smooth.matrix)
         q = np.c_[pixel, np.ones(len(pixel))] @ inverse.T
         index: Array = q[:, :2] / q[:, 2:]
@@ -42,19 +47,20 @@ class PlateLevel:
         return index
 
 
-# Origin, x and y in meshes, right-handed seen from above: nodes are (mesh - origin) @ [x, y].T
+# origin and unit vectors x and y, in meshes of the first level's lattice, right-handed seen from above
 PlateAxes = tuple[Nodes, Nodes, Nodes]
 
 
 def marks_in_place(image: Image, level: PlateLevel) -> tuple[PlateAxes, Nodes] | None:
-    """The frame of a square and a triangle in place of dots of a level, and their nodes (2, 2).
-    They are the most unusual pair in a row, of which one is skewed; x points from square to triangle.
+    """Axes from a square and a triangle that replace two dots of a level, and their nodes (2, 2).
+    These are the two patches in one row or column that differ most from a typical dot, if one of them is
+    skewed. The x axis points from the square to the triangle. None if there is no such pair.
     """
     patch = _patches(image, level, level.node.astype(float), level.pixel)
     difference = np.abs(patch - np.median(patch, 0)).mean(1)
     middle = np.median(difference)
     spread = robust_std(difference - middle) + 1e-6
-    edge = PATCH_REACH * level.side  # a patch that the image's edge cuts is no evidence
+    edge = PATCH_REACH * level.side  # px; ignore patches that the image's edge cuts
     far = ((level.pixel > edge) & (level.pixel < np.array(image.shape[::-1]) - 1 - edge)).all(1)
     unusual = np.flatnonzero(far & (difference > middle + OUTLIER_DEVIATIONS * spread))
     skewness = {int(k): _skewness(patch[k]) for k in unusual}
@@ -78,8 +84,9 @@ def marks_in_place(image: Image, level: PlateLevel) -> tuple[PlateAxes, Nodes] |
 
 
 def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Array) -> PlateAxes | None:
-    """The frame of marks between the dots of a level's row (triangle) and of one of the other (square).
-    The origin is the dot beside both of them; x points to the triangle, y to the square.
+    """Axes from a triangle between two dots of `level` and a square between two dots of the other level.
+    The origin is the dot next to both marks; x points to the triangle, y to the square. `centre` (n, 2), px,
+    holds all blobs. None if there are no such marks.
     """
     near = [cKDTree(one.pixel).query(centre)[0] < 0.1 * one.side for one in (level, other)]
     rest = centre[~near[0] & ~near[1]]
@@ -101,7 +108,7 @@ def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Ar
 
 
 def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
-    """Marks between two dots of a row or column of a level: by index of the pixel, the place in meshes."""
+    """Blobs midway between two dots of a row or column: index of the pixel, and position in meshes (2,)."""
     mesh = 2 * level.index_of(pixel) + level.shift
     site = np.rint(mesh).astype(np.int64)
     good = (np.abs(mesh - site) < MAX_OFF_SITE).all(1) & (site.sum(1) % 2 == 1)
@@ -110,17 +117,17 @@ def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
 
 def _right_handed(level: PlateLevel, index: Array, x: Nodes, y: Nodes) -> bool:
     slopes = level.smooth.slopes(np.asarray(index, float)[None])[0]
-    return cross(x @ slopes, y @ slopes) < 0  # rows of images run downwards
+    return cross(x @ slopes, y @ slopes) < 0  # image rows run downwards
 
 
 def _square_first(patch: Array) -> Nodes | None:
-    """The order of two patches with the square before the triangle; None if both are alike symmetric."""
+    """Order of two patches, the square before the triangle; None if their skewness is similar."""
     skewness = np.array([_skewness(one) for one in patch])
     return None if skewness.max() < 2.0 * skewness.min() else np.argsort(skewness)
 
 
 def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Array:
-    """Surroundings of pixels in coordinates of the target, (n, samples), brightness 0 to 1."""
+    """Patches around pixels, sampled along the target's axes, (n, samples), with brightness from 0 to 1."""
     a = PATCH_REACH * np.linspace(-1, 1, PATCH_SAMPLES)
     offset = np.stack(np.meshgrid(a, a), -1).reshape(-1, 2)
     places = level.smooth((index[:, None] + offset).reshape(-1, 2)).astype(np.float32)
@@ -130,12 +137,12 @@ def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Arr
     values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     low, high = np.percentile(values, [10, 95], axis=1, keepdims=True)
     out: Array = np.clip((values - low) / np.maximum(high - low, 1.0), 0, 1).astype(float)
-    out[:, np.hypot(*offset.T) > PATCH_REACH] = 0  # dots of the other level may be in the corners
+    out[:, np.hypot(*offset.T) > PATCH_REACH] = 0  # the corners may hold dots of the other level
     return out
 
 
 def _skewness(patch: Array) -> float:
-    """Third moments of a patch over its size cubed: large for a triangle, small for symmetric shapes."""
+    """Third moments of a patch over its radius of gyration cubed: large for triangles, small for squares."""
     light = np.where(patch > 0.3, patch, 0.0)
     a = np.linspace(-1, 1, PATCH_SAMPLES)
     x, y = (v.ravel() for v in np.meshgrid(a, a))
@@ -146,14 +153,14 @@ def _skewness(patch: Array) -> float:
     return float(np.hypot.reduce(moments) / size**3)
 
 
-MIN_MARK_WIDTH = 4.7  # px, of a dot in place of which a triangle is recognised: dust passes for smaller ones
-MAX_PARALLAX = 0.4  # of a cell: most that the other level's dots may be off the middles
-DECISIVE_FRACTION = 0.4  # of all blobs: a level that has them is taken without further trials
+MIN_MARK_WIDTH = 4.7  # px, of a dot, for its triangle to be recognised; smaller ones are confused with dust
+MAX_PARALLAX = 0.4  # cells: distance of the other level's dots from the middles of the cells
+DECISIVE_FRACTION = 0.4  # of all dots; a level with more of them ends the search
 
 
 def find_two_level(image: Image, target: Target) -> TargetPoints:
-    """Find the dots of a two-level target, dark on bright or bright on dark, also partly out of view.
-    The parallax between the levels must be less than a mesh, else dots are taken for their neighbours.
+    """Find the dots of a two-level target, dark on bright or bright on dark; it may be partly out of view.
+    The parallax between the levels must be less than a mesh, or dots are confused with their neighbours.
     """
     best: tuple[int, Image, PlateLevel, PlateLevel, Array] | None = None
     for polarity in (image, 255.0 - image):
@@ -183,7 +190,7 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
         if in_place:
             return _numbered(polarity, marked, second, in_place, target)
     width = min(_width(level, target) for level in (one, other))
-    small = f"; dots are {width:.1f} px wide: in their place marks are recognised from five on: come closer"
+    small = f"; dots are {width:.1f} px wide: marks in their place must be five wide; move the camera closer"
     raise CalibrationError(
         "the square that marks the origin and the triangle that marks x are not both in view on one level of "
         f"the target ({len(one.node)} and {len(other.node)} dots were found)"
@@ -192,7 +199,7 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
 
 
 def _width(level: PlateLevel, target: Target) -> float:
-    """Width of a typical dot's image, px (its smaller axis); infinite if the target states no diameter."""
+    """Width of a typical dot, px, along its minor axis; infinite if the target's diameter is not stated."""
     if not target.diameter:
         return np.inf
     sizes = np.linalg.svd(level.smooth.slopes(level.node), compute_uv=False)[:, 1]
@@ -200,7 +207,7 @@ def _width(level: PlateLevel, target: Target) -> float:
 
 
 def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLevel | None:
-    """The largest lattice whose cells have a dot of the other level about their middle."""
+    """The largest lattice whose cells have a dot of the other level near their middle; None if none has."""
     if len(centre) < 2 * LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)
@@ -220,7 +227,7 @@ def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLeve
 
 
 def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel | None:
-    """The level without outliers; None if too few dots are left."""
+    """A level without its outliers; None if too few dots are left."""
     try:
         level = PlateLevel(node, pixel, shift)
     except (ValueError, np.linalg.LinAlgError):
@@ -232,11 +239,11 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
 
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
-    """Candidates for the lattice at dot k: pairs of vectors that repeat around it, smallest cells first."""
+    """Candidate mesh vectors at dot k: pairs that repeat around it, smallest cells first, px."""
     _, near = tree.query(centre[k], min(22, len(centre)))
     vectors = centre[near[1:]] - centre[k]
     ends = cKDTree(vectors)
-    vectors = vectors[ends.query(-vectors)[0] < 0.15 * np.hypot(*vectors.T)]  # with a dot opposite
+    vectors = vectors[ends.query(-vectors)[0] < 0.15 * np.hypot(*vectors.T)]  # also a dot on the other side
     out = []
     for one in vectors:
         for two in vectors:
@@ -244,7 +251,7 @@ def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array,
             size = np.hypot(*one) * np.hypot(*two)
             shorter = min(one @ one, two @ two)
             if area < 0.5 * size or one[0] < 0 or abs(one @ two) > 0.6 * shorter:
-                continue  # each lattice once, by its shortest vectors
+                continue  # consider each lattice once, with its shortest vectors
             if ends.query(one + two)[0] < 0.15 * np.sqrt(size):
                 out.append((area, one, two))
     out.sort(key=lambda row: row[0])
@@ -252,7 +259,7 @@ def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array,
 
 
 def _middles_filled(level: PlateLevel, centre: Array) -> bool:
-    """Whether the other dots are about the middles of the cells, and not on their edges."""
+    """Whether the other dots are near the middles of the cells, not on their edges."""
     rest = _other_dots(level, centre)
     if len(rest) < LIMITS.min_nodes:
         return False
@@ -261,7 +268,7 @@ def _middles_filled(level: PlateLevel, centre: Array) -> bool:
 
 
 def _other_dots(level: PlateLevel, centre: Array) -> Array:
-    """Dots within the level's extent that are not its own, (n, 2), px."""
+    """Dots within the level's extent that do not belong to it, (n, 2), px."""
     distance, _ = cKDTree(level.pixel).query(centre)
     rest = centre[distance > 0.1 * level.side]
     if not len(rest):
@@ -272,13 +279,13 @@ def _other_dots(level: PlateLevel, centre: Array) -> Array:
 
 
 def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
-    """The other level: dots off the middles of the first one's cells by a parallax that varies slowly."""
+    """The other level: dots shifted from the middles of the cells by a slowly varying parallax."""
     rest = _other_dots(one, centre)
     if len(rest) < LIMITS.min_nodes:
         return None
     index = one.index_of(rest)
     off = np.angle(np.exp(2j * np.pi * (index - 0.5)).mean(0)) / (2 * np.pi)
-    for _ in range(3):  # first one parallax for all, then one that varies as a plane
+    for _ in range(3):  # start from a constant parallax, then fit one that is linear in the indices
         node = np.floor(index - off).astype(np.int64)
         parallax = index - node - 0.5
         basis = np.c_[np.ones(len(index)), index]
@@ -297,7 +304,7 @@ def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
 def _numbered(
     image: Image, marked: PlateLevel, second: PlateLevel, marks: tuple[PlateAxes, Nodes], target: Target
 ) -> TargetPoints:
-    """Nodes of both levels in meshes, counted from the origin."""
+    """Target points of both levels, with nodes in meshes from the origin."""
     (origin, x, y), replaced = marks
     no_mark = ~(marked.node[:, None] == replaced).all(2).any(1)
 

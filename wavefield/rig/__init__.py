@@ -1,4 +1,4 @@
-"""Cameras and rigs: geometry only, no images."""
+"""Cameras and rigs: projection, sight lines and the common field, without images."""
 
 from wavefield.rig.camera import Camera
 from wavefield.rig.field import common_field

@@ -1,7 +1,8 @@
-"""One camera: projection, sight lines and Jacobian as pure functions on arrays.
+"""One camera: projection, sight lines and Jacobian.
 
-Conventions: physical frame right-handed, metres, z up; image X to the right (column) and Y down (row),
-pixel centres at integers, 0-based. Camera frame Xc = R x + T with zc along the optical axis, outward.
+The physical frame is right-handed, in metres, with z up. In the image X points to the right (column) and Y
+down (row); the centre of the first pixel is (0, 0). The camera frame is Xc = R x + T, with zc along the
+optical axis, away from the camera. Tangents (a, b) = (xc / zc, yc / zc) are those of the viewing angles.
 """
 
 from collections.abc import Mapping
@@ -20,19 +21,19 @@ from wavefield.rig.lens import Array, apply_homography, distort, distort_jacobia
 class Camera:
     """A pinhole camera with radial and tangential distortion and a tilted sensor.
 
-    The paper's model is (fx, fy, cx, cy, k1); the further terms are OpenCV's (k2, p1, p2, k3, and the
-    Scheimpflug tilt tau_x, tau_y). Terms that are zero cost nothing.
+    The paper's model has the terms fx, fy, cx, cy and k1. The other terms are those of OpenCV: k2, p1, p2,
+    k3, and the Scheimpflug tilt tau_x, tau_y.
 
     Parameters
     ----------
     fx, fy : float
         Focal lengths, px.
     cx, cy : float
-        Where the optical axis meets the sensor, px.
+        Principal point, where the optical axis meets the sensor, px.
     rotation : 3 x 3 nested sequence of float
-        World to camera.
+        Rotation R from the physical frame to the camera frame.
     translation : sequence of 3 float
-        World to camera, metres: Xc = R x + T.
+        Translation T, metres: Xc = R x + T.
     size : tuple of int
         Image (width, height), px.
     k1, k2, k3 : float
@@ -86,12 +87,12 @@ class Camera:
 
     @cached_property
     def R(self) -> Array:
-        """Rotation, world to camera, (3, 3)."""
+        """Rotation from the physical frame to the camera frame, (3, 3)."""
         return np.array(self.rotation)
 
     @cached_property
     def T(self) -> Array:
-        """Translation, world to camera, (3,), metres."""
+        """Translation from the physical frame to the camera frame, (3,), metres."""
         return np.array(self.translation)
 
     @cached_property
@@ -101,12 +102,12 @@ class Camera:
 
     @property
     def K(self) -> Array:
-        """Camera matrix as OpenCV has it, (3, 3), px."""
+        """OpenCV's camera matrix, (3, 3), px."""
         return np.array([[self.fx, self.skew, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property
     def D(self) -> Array:
-        """Distortion as OpenCV's coefficients k1 k2 p1 p2 k3, (5,), or (14,) with the sensor's tilt."""
+        """OpenCV's distortion coefficients k1, k2, p1, p2, k3, (5,), or (14,) if the sensor is tilted."""
         D = np.array([self.k1, self.k2, self.p1, self.p2, self.k3, *[0.0] * 7, self.tau_x, self.tau_y])
         return D if D[5:].any() else D[:5]
 
@@ -115,7 +116,7 @@ class Camera:
         """Homography of the tilted sensor (OpenCV's CALIB_TILTED_MODEL), or None."""
         return tilt_matrix(self.tau_x, self.tau_y).real if self.tau_x or self.tau_y else None
 
-    # -- sensor: tangents of the viewing angles <-> pixels -------------------------------------------
+    # -- sensor: tangents <-> pixels -----------------------------------------------------------------
 
     @property
     def _radial(self) -> tuple[float, float, float]:
@@ -157,7 +158,7 @@ class Camera:
     # -- physical frame <-> pixels --------------------------------------------------------------------
 
     def tangents(self, X: ArrayLike, Y: ArrayLike) -> tuple[Array, Array]:
-        """Tangents of the viewing angles of pixels, without lens distortion.
+        """Remove the lens distortion: tangents of the viewing angles of pixels.
 
         Parameters
         ----------
@@ -167,7 +168,7 @@ class Camera:
         Returns
         -------
         a, b : ndarray
-            xc / zc and yc / zc of the points that project to these pixels.
+            xc / zc and yc / zc of points that project to these pixels.
         """
         return self._to_tangents(*np.broadcast_arrays(np.asarray(X, float), np.asarray(Y, float)))
 
@@ -196,7 +197,7 @@ class Camera:
         return (r1 * x + r2 * y + r3 * z + tx) / zc, (r4 * x + r5 * y + r6 * z + ty) / zc, zc
 
     def unproject(self, X: ArrayLike, Y: ArrayLike, z: ArrayLike = 0.0) -> tuple[Array, Array]:
-        """Apparent position of pixels: where their sight line meets the plane of height z.
+        """Apparent positions of pixels: points where their sight lines meet the plane of height z.
 
         Parameters
         ----------
@@ -208,7 +209,7 @@ class Camera:
         Returns
         -------
         x, y : ndarray
-            Apparent coordinates, metres; NaN where the sight line does not meet the plane.
+            Apparent coordinates, metres; NaN if the sight line does not meet the plane.
         """
         a, b = self.tangents(X, Y)
         R, c = self.R, self.centre
@@ -221,11 +222,10 @@ class Camera:
             return c[0] + s * dx, c[1] + s * dy
 
     def sight_line(self, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0) -> tuple[Array, Array]:
-        """Coefficients D of the sight line through physical points.
+        """Horizontal displacement per height along the sight lines through physical points.
 
-        A point at height h on the sight line through (x, y, z) is at
-        (x + Dx (h - z), y + Dy (h - z)). Exact for straight rays; equal to the paper's
-        ratio of derivatives of F and G with its signs corrected.
+        The sight line through (x, y, z) passes (x + Dx (h - z), y + Dy (h - z)) at height h. This is exact
+        for straight rays, and equals the paper's ratio of derivatives of F and G with its signs corrected.
 
         Parameters
         ----------
@@ -235,7 +235,7 @@ class Camera:
         Returns
         -------
         Dx, Dy : ndarray
-            Tangents of the incidence angle along x and y.
+            Sight-line coefficients: tangents of the angle from the vertical, along x and y.
         """
         c = self.centre
         depth = np.asarray(z, float) - c[2]
@@ -289,7 +289,8 @@ class Camera:
         Returns
         -------
         ndarray, (4, 2)
-            (x, y) of the outer corners of pixels: upper left, upper right, lower right, lower left, metres.
+            (x, y), metres, of the image's upper left, upper right, lower right and lower left corner; NaN
+            above the horizon.
         """
         w, h = self.size
         X = np.array([-0.5, w - 0.5, w - 0.5, -0.5])
@@ -297,14 +298,14 @@ class Camera:
         return np.stack(self.unproject(X, Y, z), axis=-1)
 
     def sees(self, x: ArrayLike, y: ArrayLike, z: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Whether points fall on the sensor, at least a margin from its edge.
+        """Whether the camera sees points, with a margin to the edge of the image.
 
         Parameters
         ----------
         x, y, z : array_like, broadcastable
             Positions, metres.
         margin : float, default 0
-            Distance kept from the outermost pixel centres, px.
+            Smallest distance from the outermost pixel centres, px.
 
         Returns
         -------
@@ -318,12 +319,12 @@ class Camera:
     # -- plain data ----------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists, for YAML and for hashing.
+        """Convert the camera to plain numbers and lists, for YAML and for hashing.
 
         Returns
         -------
         dict
-            Field names to numbers or nested lists; zero optional terms are left out.
+            Numbers or nested lists by field name; lens terms k1 to skew that are zero are left out.
         """
         out: dict[str, Any] = {}
         for f in fields(self):
@@ -337,12 +338,12 @@ class Camera:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "Camera":
-        """Inverse of `to_dict`.
+        """Build a camera from plain numbers and lists.
 
         Parameters
         ----------
         data : mapping
-            As given by `to_dict`; unknown keys are refused.
+            The result of `to_dict`; an unknown key raises a TypeError.
         """
         return cls(**data)
 
@@ -355,7 +356,7 @@ class Camera:
         tvec: ArrayLike,
         size: tuple[int, int],
     ) -> "Camera":
-        """A camera from what OpenCV's calibration functions return.
+        """Build a camera from the results of OpenCV's calibration functions.
 
         Parameters
         ----------
@@ -364,16 +365,16 @@ class Camera:
         D : array_like, (0,), (4,), (5,), (8,), (12,) or (14,), optional
             Distortion coefficients k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]].
         rvec : array_like, (3,) or (3, 3)
-            World to camera, as a rotation vector or matrix.
+            Rotation from the physical frame to the camera frame, as a vector (rad) or a matrix.
         tvec : array_like, (3,)
-            World to camera, metres.
+            Translation from the physical frame to the camera frame, metres.
         size : (width, height)
             Image, px.
 
         Raises
         ------
         RigError
-            If the lens model has rational or thin-prism terms, or K, D or rvec are of another shape.
+            If the lens model has rational or thin-prism terms, or if K or D has a wrong shape.
 
         Examples
         --------
@@ -391,12 +392,17 @@ class Camera:
         return cls(fx, fy, cx, cy, R, tvec, size, skew=skew, **_terms_of_opencv(D))
 
     def scaled(self, factor: float) -> "Camera":
-        """The same camera with images resampled by a factor (0.5: half the pixels along each axis).
+        """The same camera with resampled images.
 
         Parameters
         ----------
         factor : float
-            New size over old size.
+            New size over old size; 0.5 halves the number of pixels along each axis.
+
+        Returns
+        -------
+        Camera
+            Focal lengths, principal point and image size in new pixels.
         """
         w, h = self.size
         return replace(

@@ -10,10 +10,10 @@ from wavefield.grid import Grid, largest_rectangle
 from wavefield.rig.camera import Camera
 from wavefield.rig.rig import Rig
 
-HORIZON_SAMPLES = 65  # pixels along each side of an image that shows the horizon
-MAX_DISTANCE_RATIO = 3.0  # times the nearest water: further towards the horizon pixels are too coarse
-DEFAULT_HEIGHT = 0.01  # of the nearest camera's distance: half of what is searched where nothing is stated
-CORNER_CANDIDATES = 401  # along each axis: the rectangle is accurate to a quarter per cent
+HORIZON_SAMPLES = 65  # sampled pixels along each side of an image that shows the horizon
+MAX_DISTANCE_RATIO = 3.0  # of the farthest to the nearest water; beyond it pixels are too coarse
+DEFAULT_HEIGHT = 0.01  # of the nearest camera's distance: half of the default search range of z
+CORNER_CANDIDATES = 401  # along each axis, so that the rectangle is accurate to 0.25 %
 
 
 def common_field(
@@ -22,20 +22,20 @@ def common_field(
     height: float | tuple[float, float] | None = None,
     margin: float = 16.0,
 ) -> Grid:
-    """Largest upright rectangle of the water that every camera sees, as a grid.
+    """Grid on the largest rectangle of the water, with sides along x and y, that every camera sees.
 
     Parameters
     ----------
     cameras : iterable of Camera
         The cameras that must see every node.
     step : float, optional
-        Distance between nodes, metres; if left out, the round number (1, 2, 5, 10 ...) next above four pixels
-        of the coarsest camera.
+        Distance between nodes, metres. By default four pixels of the coarsest camera, rounded up to 1, 2 or
+        5 times a power of ten.
     height : float or (float, float), optional
-        The surface may rise and sink by this much, or is between these two elevations, and stays in view,
-        metres; if left out, 1 % of the distance of the nearest camera.
+        Largest elevation up and down, or the lowest and the highest elevation, metres. Water between these
+        elevations stays in view. The default is 1 % of the distance of the nearest camera.
     margin : float, default 16
-        Distance kept from the images' edges, px.
+        Smallest distance from the images' edges, px.
 
     Returns
     -------
@@ -85,7 +85,10 @@ def common_field(
 
 
 def view_on_water(camera: Camera) -> NDArray[np.float64]:
-    """Points on z = 0, (n, 2), m, around the view of a camera: its corners, or a rim below the horizon."""
+    """Points (n, 2), metres, that span the view of a camera on z = 0.
+    They are the four corners, or, if the camera sees the horizon, samples of the near water. Raises a
+    RigError if the camera does not see z = 0.
+    """
     corners = camera.corners()
     if np.isfinite(corners).all():
         return corners
@@ -105,7 +108,9 @@ def _round_up(length: float) -> float:
 
 
 def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
-    """Shorter and longer side, metres, of a camera's pixel on the still water; RigError if not in view."""
+    """Shorter and longer side, metres, of a camera's pixel on the still water at (x, y).
+    Raises a RigError if the point is not in front of the camera.
+    """
     jacobian = camera.jacobian(x, y, 0.0)[:, :2]
     if not np.isfinite(jacobian).all():
         raise RigError("a camera does not see the middle of the grid: is the grid in its view?")
@@ -119,6 +124,6 @@ def pixel_at(camera: Camera, x: float, y: float) -> float:
 
 
 def pixel_size(rig: Rig, grid: Grid) -> float:
-    """Size of a pixel on the water, metres: of the coarsest camera, in the middle of the grid."""
+    """Size of the coarsest camera's pixel on the water, metres, in the middle of the grid."""
     x, y = float(np.mean(grid.x)), float(np.mean(grid.y))
     return max(pixel_at(camera, x, y) for camera in rig.cameras.values())

@@ -1,7 +1,7 @@
-"""The lens and the sensor behind it, with their derivatives, for cameras and for their calibration.
+"""Projection by lens and sensor, with derivatives.
 
-Tangents of the viewing angles (a, b) = (xc / zc, yc / zc) become distorted ones by the lens, and pixels by
-the sensor, which may be tilted (Scheimpflug). All terms are OpenCV's. Rotations are vectors or matrices.
+The lens distorts the tangents (a, b) = (xc / zc, yc / zc) of the viewing angles. The sensor, which may be
+tilted (Scheimpflug), turns distorted tangents into pixels. All terms are those of OpenCV.
 """
 
 import numpy as np
@@ -9,12 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-# the order in which a lens is given as an array
+# order of the terms of a lens in arrays (12,)
 LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
 
 
 def distort(a: Array, b: Array, k: tuple[float, float, float], p: tuple[float, float]) -> tuple[Array, Array]:
-    """Distorted tangents."""
+    """Distorted tangents by radial terms k = (k1, k2, k3) and tangential terms p = (p1, p2)."""
     r2 = a * a + b * b
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))
     x, y = a * radial, b * radial
@@ -28,7 +28,7 @@ def distort(a: Array, b: Array, k: tuple[float, float, float], p: tuple[float, f
 def distort_jacobian(
     a: Array, b: Array, k: tuple[float, float, float], p: tuple[float, float]
 ) -> tuple[Array, Array, Array]:
-    """Derivatives of `distort`."""
+    """Derivatives dx/da, dx/db = dy/da and dy/db of `distort`."""
     r2 = a * a + b * b
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))
     slope = 2.0 * (k[0] + r2 * (2.0 * k[1] + r2 * 3.0 * k[2]))  # 2 d radial / d(r2)
@@ -51,14 +51,14 @@ def tilt_matrix(tau_x: complex, tau_y: complex) -> NDArray[np.complex128]:
 
 
 def apply_homography(h: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Points mapped by a homography (3, 3), and the denominator."""
+    """Points x, y mapped by a homography (3, 3), and the denominator of the map."""
     s = h[2, 0] * x + h[2, 1] * y + h[2, 2]
     return (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / s, (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / s, s
 
 
 def project(lens: Array, points: Array) -> tuple[Array, Array, Array]:
-    """Pixels (n, 2) of points (n, 3), metres, in a camera's frame, with all derivatives.
-    The derivatives are (n, 2, 3) with respect to the points, px per metre, and (n, 2, 12) to the lens.
+    """Pixels (n, 2) of points (n, 3), metres, in a camera's frame, with derivatives.
+    The derivatives are (n, 2, 3) by the points, px per metre, and (n, 2, 12) by the terms of the lens.
     """
     fx, fy, cx, cy, k1, k2, p1, p2, k3, tau_x, tau_y, skew = lens.tolist()
     k, p = (k1, k2, k3), (p1, p2)
@@ -97,7 +97,7 @@ def project(lens: Array, points: Array) -> tuple[Array, Array, Array]:
         (8, a * r2**3, b * r2**3),
     ):
         by_lens[..., column] = by_u * du[:, None] + by_v * dv[:, None]
-    step = 1e-30  # complex step: exact
+    step = 1e-30  # complex-step derivative, exact to rounding
     by_lens[..., 9] = through_tilt((tilt_matrix(tau_x + 1j * step, tau_y).imag / step) @ uv1)
     by_lens[..., 10] = through_tilt((tilt_matrix(tau_x, tau_y + 1j * step).imag / step) @ uv1)
     return pixel, by_point, by_lens
@@ -109,7 +109,7 @@ def rotation_about(vector: ArrayLike) -> Array:
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     angle = float(np.sqrt(x * x + y * y + z * z))
     half = 0.5 * angle
-    # sinc keeps both quotients exact at zero
+    # sinc avoids a division by zero
     turn: Array = np.eye(3) + np.sinc(angle / np.pi) * cross
     turn += 0.5 * np.sinc(half / np.pi) ** 2 * cross @ cross
     return turn

@@ -1,4 +1,4 @@
-"""A rig: several named cameras in view of the same water, and which are compared with which."""
+"""A rig: named cameras in one physical frame, its YAML file, and the pairs of cameras that are compared."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,12 +15,12 @@ from wavefield.file_access import refuse_pipe
 from wavefield.rig.camera import Camera
 from wavefield.text import html_table, one_line
 
-YAML_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast where libyaml is there
+YAML_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml, if present, is ten times as fast
 UNITS = {"length": "m", "image": "px", "angle": "rad"}
 
 
 def read_rig_text(path: Path) -> str:
-    """Text of a rig file."""
+    """Text of a rig file; raises a RigError if it cannot be read."""
     try:
         refuse_pipe(path, RigError)
         return path.read_text(encoding="utf-8", errors="replace")
@@ -41,8 +41,8 @@ class Rig:
     cameras : mapping of str to Camera
         The cameras, in the order of the experiment.
     provenance : mapping, optional
-        Images, date, model, residuals, uncertainties: whatever the calibration states, in plain
-        numbers, texts, lists and mappings.
+        Details of the calibration (images, date, model, residuals, uncertainties) as plain numbers, texts,
+        lists and mappings.
 
     Examples
     --------
@@ -69,7 +69,7 @@ class Rig:
 
     @property
     def lenses_alone(self) -> bool:
-        """Whether all cameras are at the origin, because only their lenses are known."""
+        """Whether all of several cameras are at the origin, because only their lenses are known."""
         return len(self) > 1 and all(np.allclose(c.centre, 0.0, atol=1e-9) for c in self.cameras.values())
 
     def __repr__(self) -> str:
@@ -104,12 +104,12 @@ class Rig:
         origin : array_like, (3,)
             The new frame's origin in the present frame, metres.
         **provenance
-            Added to the provenance.
+            Entries to add to the provenance.
 
         Returns
         -------
         Rig
-            The same cameras, seen from the new frame.
+            The same cameras in the new frame.
         """
         Q, o = np.asarray(axes, float), np.asarray(origin, float)
         cameras = {
@@ -119,15 +119,15 @@ class Rig:
         return Rig(cameras, {**self.provenance, **provenance})
 
     def save(self, path: str | Path, source: str = "") -> None:
-        """Write the rig as readable YAML, lengths in metres, image quantities in px, angles in radians.
+        """Write the rig as YAML: lengths in metres, image quantities in px, angles in radians.
 
         Parameters
         ----------
         path : path
-            File to write; its folder is made. A rig that is there is replaced only if it was saved with the
-            same source and not edited since.
+            File to write; its folder is created. An existing rig is replaced only if it was saved with the
+            same source and has not been edited.
         source : str, optional
-            Identity of what the rig was made from (`wavefield.atomic_write.identity_of`).
+            Identity of the inputs of the rig (`wavefield.atomic_write.identity_of`).
 
         Raises
         ------
@@ -144,12 +144,16 @@ class Rig:
 
     @classmethod
     def load(cls, path: str | Path) -> "Rig":
-        """Read a rig that `save` wrote; for other programs' files see `wavefield.rig.formats.load_rig`.
+        """Read a rig that `save` wrote; `wavefield.rig.formats.load_rig` also reads other programs' files.
 
         Parameters
         ----------
         path : path
-            YAML.
+            YAML file.
+
+        Returns
+        -------
+        Rig
 
         Raises
         ------
@@ -180,10 +184,14 @@ class Rig:
         data : mapping
             ``cameras`` and, optionally, ``units`` and ``provenance``.
 
+        Returns
+        -------
+        Rig
+
         Raises
         ------
         RigError
-            If a camera is incomplete, a rotation is not one, or the units are others than m, px, rad.
+            If a camera is incomplete, its rotation is invalid, or units differ from m, px and rad.
         """
         units = data.get("units") or {}
         for what, unit in units.items():
@@ -208,13 +216,13 @@ class Rig:
 
 
 def middle_camera(rig: Rig, names: Sequence[str]) -> str:
-    """The camera with the least sum of distances to all others; of two, the first."""
+    """Name of the camera with the least sum of distances to all others; of two, the first."""
     centres = np.array([rig[n].centre for n in names])
     reach = np.linalg.norm(centres[:, None] - centres, axis=-1).sum(axis=1)
     return names[int(np.argmin(np.round(reach / max(reach.max(), 1e-30), 9)))]
 
 
 def pairs_of(rig: Rig, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """The middle camera with each of the others."""
+    """Pairs of cameras that are compared: the middle camera with each of the others."""
     reference = middle_camera(rig, names)
     return tuple((reference, n) for n in names if n != reference)

@@ -1,7 +1,4 @@
-"""From positions and displacements in several images to points and displacements in space.
-
-Pure functions on arrays, a few milliseconds for the 30,000 nodes of a grid.
-"""
+"""Points and displacements in space from those in the images of several cameras."""
 
 import math
 from collections.abc import Sequence
@@ -18,8 +15,9 @@ from wavefield.rig.rig import Rig
 
 
 def triangulate(apparent: ArrayLike, sight: ArrayLike) -> tuple[Array, Array, Array, Array]:
-    """Points x, y, z nearest to the sight lines of all cameras that see them: least squares, x_k = x - D_k z.
-    Apparent positions x_k, sight D_k and the misfits, which are returned last, are (N, 2, ...); metres.
+    """Least-squares points x, y, z (...), metres, on the sight lines x_k = x - D_k z of N cameras.
+    Apparent positions x_k, metres, and sight-line coefficients D_k are (N, 2, ...), NaN if a camera does not
+    see the point. The last result holds the residuals (N, 2, ...), metres on the plane z = 0.
     """
     p, D = np.asarray(apparent, float), np.asarray(sight, float)
     visible = np.isfinite(p).all(1) & np.isfinite(D).all(1)
@@ -30,16 +28,16 @@ def triangulate(apparent: ArrayLike, sight: ArrayLike) -> tuple[Array, Array, Ar
         p_mean, D_mean = np.sum(weight * p0, axis=0) / total, np.sum(weight * D0, axis=0) / total
         dp, dD = p0 - p_mean, D0 - D_mean
         square = np.sum(weight * dD * dD, axis=(0, 1))
-        # two sight lines within a ten-thousandth of a radian give no height
+        # sight lines within 1e-4 rad of each other do not determine the height
         square = np.where(square > 1e-8 * total[0], square, np.nan)
-        # two cameras: z = -(dD . d) / |dD|^2 with d = x_2 - x_1, dD = D_2 - D_1; more: mean by weights |dD|^2
+        # for two cameras: z = -(dD . d) / |dD|^2 with d = x_2 - x_1 and dD = D_2 - D_1
         z = -np.sum(weight * dp * dD, axis=(0, 1)) / square
     x, y = p_mean + D_mean * z
     return x, y, z, p - (np.stack([x, y]) - D * z)
 
 
 def jacobians(cameras: Sequence[Camera], x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Array:
-    """Derivatives of (X_1, Y_1, X_2, Y_2, ...) with respect to (x, y, z), (..., 2N, 3), px per metre."""
+    """Derivatives (..., 2N, 3) of the pixels X_1, Y_1, X_2, Y_2, ... by x, y, z, px per metre."""
     shape = np.broadcast_shapes(np.shape(x), np.shape(y), np.shape(z))
     out = np.empty((*shape, 2 * len(cameras), 3))
     for n, camera in enumerate(cameras):
@@ -72,7 +70,7 @@ def _solve(jacobian: Array, observed: Array, weight: Array, noise: Array, out: A
             p += w0 * s
             q += w1 * s
             r += w2 * s
-        # Cholesky; a small pivot means that the cameras do not determine a direction
+        # Cholesky decomposition; after a small pivot the cameras do not determine a direction
         ok = rows >= 3 and a > 0.0
         if ok:
             lb, lc = b / a, c / a
@@ -111,8 +109,9 @@ def _solve(jacobian: Array, observed: Array, weight: Array, noise: Array, out: A
 def solve_displacement(
     jacobian: ArrayLike, displacement: ArrayLike, std: ArrayLike | None = None, noise: ArrayLike | None = None
 ) -> tuple[Array, Array]:
-    """Displacement in space from those on the sensors of N cameras, and its standard uncertainty, (..., 3).
-    d = argmin sum (J d - dX)^2 / std^2; the uncertainty is that by `noise`, where stated, in place of std.
+    """Displacement in space (..., 3), metres, and its standard uncertainty, from displacements in N images.
+    d minimises sum (J d - dX)^2 / std^2, with J (..., 2N, 3), px per metre, and dX and std (..., 2N), px. The
+    uncertainty follows from `noise` (..., 2N), px, or from std if there is none. NaN if undetermined.
     """
     J, observed = np.asarray(jacobian, float), np.asarray(displacement, float)
     with np.errstate(divide="ignore"):
@@ -130,7 +129,7 @@ def solve_displacement(
 
 
 def parallax(rig: Rig, pair: tuple[str, str], x: ArrayLike, y: ArrayLike) -> Array:
-    """Parallax per height, (2, ...): difference of the sight-line coefficients of the two cameras."""
+    """Parallax per height, (2, ...): the first camera's sight-line coefficients minus the second's."""
     first, second = (rig[name].sight_line(x, y) for name in pair)
     return np.subtract(first, second)
 
@@ -138,8 +137,8 @@ def parallax(rig: Rig, pair: tuple[str, str], x: ArrayLike, y: ArrayLike) -> Arr
 def epipolar_distance(
     a: Camera, b: Camera, Xa: ArrayLike, Ya: ArrayLike, Xb: ArrayLike, Yb: ArrayLike
 ) -> Array:
-    """Signed distance (n,) of matched pixels from the epipolar lines of their partners, px in image b.
-    x_b^T E x_a over the length of its gradient with respect to distorted pixels of b.
+    """Signed distances (n,) of pixels in image b from the epipolar lines of their matches in image a, px.
+    Each is x_b^T E x_a over the length of its gradient by the distorted pixels of b.
     """
     xa = np.stack([*a.tangents(Xa, Ya), np.ones(np.shape(Xa))])
     Xb, Yb = np.asarray(Xb, float), np.asarray(Yb, float)
@@ -148,7 +147,7 @@ def epipolar_distance(
     t = b.T - R @ a.T
     line = np.cross(t, R @ xa, axis=0)  # in the tangents of b
     value = np.sum(xb * line, axis=0)
-    # d(tangents)/d(pixels) of b by central differences: tangents are smooth in pixels
+    # derivatives of tangents by pixels of b, from central differences
     h = 0.01
     gradient = [
         (line[0] * (p[0] - m[0]) + line[1] * (p[1] - m[1])) / (2 * h)

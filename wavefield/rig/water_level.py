@@ -1,4 +1,4 @@
-"""The reference plane: bring z = 0 to the still water."""
+"""Bring the plane z = 0 of a rig to the still water."""
 
 from dataclasses import dataclass
 
@@ -10,23 +10,23 @@ from wavefield.rig.lens import Array
 from wavefield.rig.rig import Rig
 from wavefield.robust import reweighted_lstsq, robust_std
 
-MAX_TILT = 10.0  # degrees: a frame tilted by more is a camera's, not the water's
-MIN_POINTS = 10
+MAX_TILT = 10.0  # degrees; a frame that is tilted more than this is not that of a target, but of a camera
+MIN_POINTS = 10  # of the water, about three times the parameters of a plane
 OUTLIER_DEVIATIONS = 4.0  # robust standard deviations from the plane
 
 
 @dataclass(frozen=True)
 class WaterPlane:
-    """A plane fitted to surface points."""
+    """A plane fitted to points of the surface."""
 
     height: float  # Of the plane at x = y = 0, metres
     slope: tuple[float, float]  # Along x and y
-    rms: float  # Of these points, across the plane, metres
-    kept: NDArray[np.bool_]  # (n,): Points that belong to the plane
+    rms: float  # Distance of the points from the plane, without outliers, metres
+    kept: NDArray[np.bool_]  # (n,): Whether a point is not an outlier
 
     @property
     def axes(self) -> Array:
-        """Axes of a frame on the plane as columns, (3, 3): z across it, x in the old x-z plane."""
+        """Axes (3, 3), as columns, of a frame on the plane: z normal to it, x in the old x-z plane."""
         bx, by = self.slope
         z = np.array([-bx, -by, 1.0]) / np.sqrt(1.0 + bx * bx + by * by)
         x = np.array([1.0, 0.0, bx]) / np.sqrt(1.0 + bx * bx)
@@ -34,7 +34,7 @@ class WaterPlane:
 
 
 def _points(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
-    """Points (n, 3), and which of them are numbers."""
+    """Points (n, 3), and which of them are finite (n,)."""
     points = np.stack([np.ravel(v) for v in np.broadcast_arrays(x, y, z)], axis=-1).astype(float)
     finite = np.isfinite(points).all(axis=1)
     if finite.sum() < MIN_POINTS:
@@ -43,7 +43,9 @@ def _points(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, NDArray[np
 
 
 def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
-    """Plane through surface points (metres), without outliers."""
+    """Fit a plane to points of the surface (metres), without outliers.
+    Raises a RigError if there are fewer than ten points, or all are on a line.
+    """
     points, finite = _points(x, y, z)
     height = points[finite, 2]
     design = np.column_stack([np.ones(len(height)), points[finite, :2]])
@@ -54,7 +56,7 @@ def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
         weight: Array = 1.0 / np.sqrt(np.maximum(np.abs(residual), 0.1 * robust_std(residual) + 1e-12))
         return weight
 
-    # first the median-like fit, which outliers do not move, then least squares on what agrees with it
+    # a fit of least absolute residuals finds the outliers; least squares fits the other points
     _, residual = reweighted_lstsq(design, height, np.ones(len(height)), least_absolute, 20)
     inlier = np.abs(residual) <= OUTLIER_DEVIATIONS * robust_std(residual) + 1e-12
     for _ in range(10):
@@ -72,11 +74,11 @@ def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
 
 
 def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, WaterPlane]:
-    """Re-express a rig so that the plane of points of still water (metres) is z = 0."""
+    """Re-express a rig in a frame whose plane z = 0 fits points of still water (metres); returns both."""
     points, finite = _points(x, y, z)
     axes, origin = _frame_on_plane(rig, points[finite])
     tilt = float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))))
-    coarse = tilt > MAX_TILT  # the frame is a camera's: turn it first, then level as any other
+    coarse = tilt > MAX_TILT  # turn the frame of a camera first, then level it as any other
     if coarse:
         rig, points = rig.moved(axes, origin), (points - origin) @ axes
     plane = fit_plane(*points.T)
@@ -90,9 +92,9 @@ def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, Wate
 
 
 def _frame_on_plane(rig: Rig, points: Array) -> tuple[Array, Array]:
-    """Axes (as columns) and origin of a frame on the plane of points, however tilted: z to the cameras."""
+    """Axes (as columns) and origin of a frame on the plane of points, with z towards the cameras."""
     middle, weight = np.median(points, axis=0), np.ones(len(points))
-    for _ in range(20):  # the plane that outliers do not move
+    for _ in range(20):  # robust fit: weights fall with the distance from the plane
         middle = weight @ points / weight.sum()
         normal = np.linalg.svd((points - middle) * np.sqrt(weight)[:, None], full_matrices=False)[2][2]
         distance = np.abs((points - middle) @ normal)
@@ -106,5 +108,5 @@ def _frame_on_plane(rig: Rig, points: Array) -> tuple[Array, Array]:
 
 
 def with_water_level(rig: Rig, height: float) -> Rig:
-    """Re-express a rig when the water is above (or, negative, below) the flat target by a known height, m."""
+    """Re-express a rig with z = 0 at a known height, metres, above the flat target (negative: below)."""
     return rig.moved(np.eye(3), (0.0, 0.0, height), water_above_target_m=float(height))
