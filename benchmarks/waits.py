@@ -29,7 +29,7 @@ from wavefield.variables import CUBE_FIELDS
 
 IMPORTS = "import xarray, dask.distributed, numba, cv2"
 DRAWN = 12  # frames that are rendered; longer records show them forwards and backwards in turn
-FIRST_FRAME = re.compile(r"^(\S+ \S+),(\d+) .*learning beads", re.MULTILINE)  # in the log of a run
+FIRST_FRAME = re.compile(r"^(\S+ \S+),(\d+) .*learning bead", re.MULTILINE)  # in the log of a run
 
 Row = tuple[str, str]
 

@@ -24,7 +24,7 @@ def test_a_run_has_all_that_its_cube_was_made_from(measured):
     names = ("rig", "experiment", "frames", "waves", "pair_statistics")
     assert not any(found.reason(name) for name in names)
     assert found.reason("probes") == "the experiment names no probes"
-    assert "truth is not there" in found.reason("truth")
+    assert "not simulated" in found.reason("truth")
 
 
 def test_what_is_absent_has_a_reason(measured, tmp_path):
@@ -48,7 +48,7 @@ def test_masks_and_probes_come_with_the_experiment(measured, tmp_path):
     found = wf.open_run(tmp_path / "cube.zarr", experiment=file)
     assert found.frames["cam1"].covered(0).any()
     assert found.probes is None
-    assert "there is no such file" in found.reason("probes")
+    assert "which does not exist" in found.reason("probes")
     probes.write_text("neither times\nnor elevations\n")
     with pytest.raises(wf.errors.ExperimentError):
         _ = wf.open_run(tmp_path / "cube.zarr", experiment=file).probes

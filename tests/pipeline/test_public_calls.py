@@ -177,7 +177,7 @@ def test_catalog_mistakes_are_named(catalog, own_tank, tmp_path):
     elsewhere = tmp_path / "elsewhere" / "experiment.yaml"
     elsewhere.parent.mkdir()
     elsewhere.write_text(own_tank.read_text())
-    with pytest.raises(ExperimentError, match="has another run 'small-tank' already"):
+    with pytest.raises(ExperimentError, match="already has another run 'small-tank'"):
         catalog_add(catalog, elsewhere)
     assert catalog_add(catalog, elsewhere, "small-tank-b") == "small-tank-b"
     with pytest.raises(ExperimentError, match="no parameter `run`"):

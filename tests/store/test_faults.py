@@ -201,7 +201,7 @@ def test_waves_of_another_cube_are_refused(lab, capsys):
     other = wf.open_cube("cube.zarr").load().assign_attrs(recipe_hash="0123456789abcdef")
     shutil.rmtree("waves.zarr")
     wf.analyze(other, "waves.zarr", segment=8)
-    assert "are the waves of another cube" in refused(capsys, "report", "cube.zarr")
+    assert "has the waves of another cube" in refused(capsys, "report", "cube.zarr")
 
 
 def test_waves_of_an_earlier_state_of_a_cube_are_left_out(lab):

@@ -51,7 +51,7 @@ def test_changed_labels_relabel_a_cube(own_tank, cube, reference):
     assert after.attrs["experiment"] == "large tank"
     assert after.attrs["description"] == "a second look"
     assert after.wavefield.recipe == before.wavefield.recipe
-    assert "labelled anew, nothing is measured again: experiment" in (cube.parent / "cube.log").read_text()
+    assert "label changed, nothing is measured again: experiment" in (cube.parent / "cube.log").read_text()
     assert xr.open_zarr(cube).attrs["water_depth"] == 0.65  # by stock readers alike
     change(own_tank, *(pair[::-1] for pair in LABELS))
     run(own_tank, workflow=HERE)
@@ -74,7 +74,7 @@ def test_what_values_depend_on_is_no_label(own_tank, cube, old, new, entry):
 def test_other_images_under_the_same_names_are_refused(own_tank, cube):
     path = own_tank.parent / "cam2" / "img_00008.tif"
     write_image(path, np.ascontiguousarray(read_image(path)[:, ::-1]))
-    with pytest.raises(StoreError, match=r"begun with other images: cam2 frame 8 .*is not what it was"):
+    with pytest.raises(StoreError, match=r"begun with other images: cam2 frame 8 .*has changed"):
         run(own_tank, workflow=HERE)
 
 

@@ -1,4 +1,8 @@
-"""Assess a cube: its verdict, the errors of its pairs of cameras, the terms of its uncertainties."""
+"""Assess a cube: verdict, errors of each pair of cameras, terms of the standard uncertainties.
+
+The verdict is the list of remarks on a measurement, the gravest first. A step is the interval between two
+consecutive frames. The ledger is the status of each step, which the store keeps (`wavefield.store.ledger`).
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -56,29 +60,30 @@ from wavefield.store.verdict import Remark, Verdict
 from wavefield.store.write_cube import clear_steps
 from wavefield.variables import FrameStatus, Quality
 
-MAX_SAMPLED = 12  # steps of a cube that are looked at after its run
-MIN_STEPS = 5  # of a record: shorter ones have no neighbours to compare with
+MAX_SAMPLED = 12  # steps of a cube that are assessed after its run
+MIN_STEPS = 5  # shorter records have too few neighbouring steps to compare
 
 _NOT_COMPARED = Remark(
     "cameras",
     "light sheet",
     "remark",
-    "patches of their images do not match, as in a sheet that is some pixels deep between their sight lines",
-    "A wrong rig or frames of other moments would not be found",
+    "patches of their images do not match, which is usual if the sheet spans several pixels of parallax",
+    "A wrong rig or frames of other moments would not be noticed",
     "Run `wavefield rig sheet`, which correlates all frames together",
 )
 
 
 def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> CameraFaults:
-    """Compare the cameras' images at some instants; ``quality`` is that of the nodes at some measured steps.
+    """Compare the cameras' images at a few frames of the record.
 
-    Patches disagree whatever the rig where waves are steeper or higher than their search allows for, and in
-    light sheets of some pixels' depth. Where all cameras together measured most nodes they do not contradict
-    each other.
+    Patches may not match even with a correct rig: if waves are higher or steeper than their search allows, or
+    in a light sheet that spans several pixels of parallax. If all cameras together measured most nodes of the
+    sampled steps (``quality``, (n, ny, nx)), remarks on inconsistent cameras are therefore dropped.
     """
-    count, matcher = prepared.steps + 1, _patch_matcher(prepared)
+    series, count = prepared.series, prepared.steps + 1
+    matcher = PatchMatcher(lambda name, k: series[name].read_uncovered(k), prepared.rig, prepared.grid)
     frames = evenly_spaced(count, SAMPLE_STEPS)
-    with one_opencv_thread():  # each of them
+    with one_opencv_thread():  # in each of our threads
         found = find_camera_faults(matcher, count, frames, threads_here(prepared.workflow))
     thickness = prepared.geometry.settings.sheet_thickness
     remarks = list(found.remarks)
@@ -89,8 +94,10 @@ def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> Camer
     return replace(found, remarks=tuple(remarks))
 
 
-def synchrony_of(prepared: PreparedRun, cube: xr.Dataset, frames: Sequence[int], first: int = 0) -> Synchrony:
-    """Whether the cameras take some frames at the same moment; ``first`` is the first step of the cube."""
+def measure_synchrony(
+    prepared: PreparedRun, cube: xr.Dataset, frames: Sequence[int], first: int = 0
+) -> Synchrony:
+    """Delays between the cameras at some frames; ``first`` is the step of the record that begins the cube."""
     rate = prepared.experiment.frame_rate
 
     def images(k: int) -> Mapping[str, NDArray[np.generic] | None]:
@@ -104,20 +111,17 @@ def synchrony_of(prepared: PreparedRun, cube: xr.Dataset, frames: Sequence[int],
 
     if prepared.record is None:
         return Synchrony({})
-    with one_opencv_thread():  # each of them
+    with one_opencv_thread():  # in each of our threads
         threads = threads_here(prepared.workflow)
         return delays(prepared.geometry, prepared.record, frames, images, displacement, rate, threads)
 
 
-def _patch_matcher(prepared: PreparedRun) -> PatchMatcher:
-    return PatchMatcher(lambda name, k: prepared.series[name].read_uncovered(k), prepared.rig, prepared.grid)
-
-
 def check_record(prepared: PreparedRun, status: Status) -> RiseRatios | None:
-    """Compare the steps of a cube with each other; clear those of a complete one in which time jumps.
+    """Find lost, doubled or late frames from the kinematics of a cube; if it is complete, clear their steps.
 
-    These are steps whose frames lie on both sides of a lost, doubled or late frame. Done again, it gives the
-    same. Returns the ratios of the other steps; None for light sheets and for records of few steps.
+    Steps that use frames from both sides of such a frame are set to NaN in the store; a second call changes
+    nothing. Returns the ratios of the other steps (`wavefield.quality.record.rise_ratios`); None for light
+    sheets and for records of few steps.
     """
     sheet = prepared.geometry.settings.sheet_thickness is not None
     if sheet or status.done + status.faulty < MIN_STEPS:
@@ -133,7 +137,7 @@ def check_record(prepared: PreparedRun, status: Status) -> RiseRatios | None:
 
 
 def assess_run(prepared: PreparedRun, status: Status, ratios: RiseRatios | None) -> Verdict:
-    """The verdict on a cube whose run has ended."""
+    """The verdict on a cube after its run; ``ratios`` are those of `check_record`."""
     experiment, series = prepared.experiment, prepared.series
     cube = open_cube(status.store)
     sample = cube[[*COMPARED, "eps_piv", "quality"]]
@@ -150,90 +154,93 @@ def assess_run(prepared: PreparedRun, status: Status, ratios: RiseRatios | None)
         *remark_on_coverage(expected_coverage(prepared.rig, prepared.grid)),
         *remark_on_cameras_left_out(sample.quality.values, sample.attrs["cameras"]),
         *remarks_on_fields({str(name): one.values for name, one in sample.items()}),
-        *(_stored_values(cube, sample, ratios) if ratios else ()),
+        *(_kinematics(cube, sample, ratios) if ratios else ()),
         *_short_waves(sample, prepared),
     ]
     return Verdict.of(remarks, faults.pairs, faults.frames)
 
 
 def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tuple[float, float]:
-    """Times of the first and the last frame, s."""
+    """Times of the first and last frames, s."""
     times = experiment.frame_times(next(iter(series.values())))
     return float(times[0]), float(times[-1])
 
 
 def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Remark]:
-    """Remarks on delays and motion of cameras, from the epipolar errors."""
+    """Remarks on delays and motion of cameras, from their epipolar errors."""
     frames = [1 + k for k in _sampled(prepared.steps - 1)]
-    yield from remarks_on_clocks(synchrony_of(prepared, cube, frames))
+    yield from remarks_on_clocks(measure_synchrony(prepared, cube, frames))
     yield from remarks_on_mounts(cube)
 
 
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
-    """Remarks on waves that are too fast for the frame rate, or too short for the images."""
+    """Remarks on waves that are too fast for the frame rate or too short for the images."""
     record, measured = prepared.record, sample.quality.values & int(Quality.MEASURED) != 0
     if record is None or not measured.any():
         return
     rate, (_, wavelength) = prepared.experiment.frame_rate, record.ripples
     aliased = (
-        f"They are aliased at {rate:.3g} Hz: their velocities are not measured, and the standard "
-        "uncertainties may be too small. Longer waves are right"
+        f"They are aliased at {rate:.3g} Hz: their velocities are not resolved, and the standard "
+        "uncertainties may be too small. Longer waves are not affected"
     )
     yield from remark_on_unresolved_waves(
         *fast_waves(record.elevation, prepared.geometry.pixel, rate),
         aliased,
-        "Raise the frame rate to twice as much or more",
+        "At least double the frame rate",
     )
     if not all(record.ripples):
         return
     unresolved = float(ripples(record.ripples, rate)[3]) * rate**2
-    share = unresolved / (unresolved + float(np.mean(np.square(sample.w.values[measured]))))
+    fraction = unresolved / (unresolved + float(np.mean(np.square(sample.w.values[measured]))))
     missing = (
-        "The images do not resolve them: they are missing in w, and its standard uncertainty contains "
-        f"{1e3 * np.sqrt(unresolved):.3g} mm/s for them. Longer waves are right"
+        "The images do not resolve them: they are missing in w, and its standard uncertainty includes "
+        f"{1e3 * np.sqrt(unresolved):.3g} mm/s for them. Longer waves are not affected"
     )
-    remedy = "Take images with smaller pixels to measure them"
-    yield from remark_on_unresolved_waves(share, wavelength, missing, remedy)
+    remedy = "Record smaller pixels on the water to measure them"
+    yield from remark_on_unresolved_waves(fraction, wavelength, missing, remedy)
 
 
 def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
-    """Remarks on the values of some steps."""
+    """Remarks on measured fields of some steps, each (n, ny, nx)."""
     if not np.isfinite(fields["z"]).any():
-        return  # the ledger reports it
+        return  # failed steps have a remark of their own
     yield from remark_on_eps_piv(fields["z"], fields["eps_piv"])
     yield from remark_on_holes(fraction_measured(fields["quality"]))
 
 
-def _stored_values(cube: xr.Dataset, sample: xr.Dataset, ratios: RiseRatios) -> Iterator[Remark]:
+def _kinematics(cube: xr.Dataset, sample: xr.Dataset, ratios: RiseRatios) -> Iterator[Remark]:
+    """Remarks on elevations and velocities that contradict each other."""
     yield from remark_on_kinematics(sample)
     yield from remark_on_cleared_steps(cube)
     yield from remark_on_jitter(ratios, sample)
 
 
 def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
-    """Fraction of the nodes in view that were measured, optionally by all cameras; without filled nodes."""
+    """Fraction of the nodes in view that were measured (not filled), optionally by all cameras."""
     visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
     marks = np.uint16(Quality.MEASURED | (Quality.FEWER_CAMERAS if by_all else 0))
     return float(((quality[visible] & marks) == Quality.MEASURED).mean()) if visible.any() else 0.0
 
 
 def _sampled(steps: int) -> list[int]:
-    """Steps that are matched again after a run; of a short record few, or they are most of its cost."""
+    """Steps that are matched again after a run: few of a short record, to keep the cost small."""
     return evenly_spaced(steps, min(MAX_SAMPLED, max(SAMPLE_STEPS, steps // 10)))
 
 
-_BIN_EDGES = np.linspace(-5, 5, 101)  # rms
+_BIN_EDGES = np.linspace(-5, 5, 101)  # errors in units of their rms
 
 
 def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
-    """Errors of pairs of cameras, each measured alone at some steps; None where no step can be.
+    """Errors of pairs of cameras, each pair measured alone at some steps; None if no step can be measured.
 
-    Returns rms, beyond (error,), density (error, bin), with the coordinates quantity, cameras and
-    units (error,): ``eps_y``, ``sigma_z``, ``eps_piv`` of pairs; ``z``, ``dx``, ``dy``, ``dz`` of one pair
-    minus another; ``z_recombined``, z of a direct pair recombined from two minus z measured directly.
+    Returns ``rms`` and ``beyond`` (fraction of outliers), both (error,), and ``density`` (error, bin), the
+    probability density of errors in units of their rms. Each error has the coordinates ``quantity``,
+    ``cameras`` and ``units``. Quantities are ``eps_y``, ``sigma_z`` and ``eps_piv`` of a pair; ``z``, ``dx``,
+    ``dy`` and ``dz`` of one pair minus another; and ``z_recombined``: z of a pair computed from two other
+    pairs minus z measured directly.
     """
     geometry, model = prepared.geometry, prepared.model
-    sheet = geometry.settings.sheet_thickness is not None  # its cameras are not matched with each other
+    sheet = geometry.settings.sheet_thickness is not None  # cameras are not matched with each other
     if sheet or model is None:
         return None
     pixel = pixel_size(prepared.rig, prepared.grid)
@@ -275,7 +282,7 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
 
 
 def _errors(found: Diagnosis) -> Iterator[tuple[str, str, str, NDArray[np.float64]]]:
-    """Quantity, cameras, units and samples of every error."""
+    """Quantity, cameras, units and values of every error at one step."""
     for pair, values in found.eps_y.items():
         yield "eps_y", joined(pair), "m", values
         yield "sigma_z", joined(pair), "m", np.array([found.z_std[pair]])
@@ -291,7 +298,7 @@ def _errors(found: Diagnosis) -> Iterator[tuple[str, str, str, NDArray[np.float6
 
 
 def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
-    """Probability density of finite values over their rms, (bins,)."""
+    """Probability density of finite values in units of their rms, (bins,)."""
     if not rms > 0:
         return np.zeros(_BIN_EDGES.size - 1)
     counts, _ = np.histogram(values / rms, _BIN_EDGES)
@@ -299,7 +306,7 @@ def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
 
 
 def store_pair_statistics(prepared: PreparedRun, path: Path) -> None:
-    """Write the statistics of pairs into a complete cube, unless they are there and up to date."""
+    """Write the errors of pairs into a complete cube, unless they are there for its present state."""
     group = open_group(path)
     state = state_of(group)
     stored = read_pair_statistics(path)
@@ -314,28 +321,29 @@ def uncertainty_terms(
     step: int | None = None,
     rig: str | Path | Rig | None = None,
 ) -> xr.Dataset:
-    """Terms of the standard uncertainties of one step; their squares add up to those of z_std, u_std, ...
+    """Terms of the standard uncertainties of one step; the sum of their squares is the variance.
 
     Parameters
     ----------
     experiment : path or Experiment
-        As for `run`.
+        Experiment file, or the experiment.
     step : int, optional
-        Step of the record, from 0; by default the one in the middle.
+        Step of the record, from 0; by default the middle one.
     rig : path or Rig, optional
-        As for `run`.
+        Used instead of the rig that the experiment names.
 
     Returns
     -------
     Dataset, (term, y, x)
-        z in m, u, v, w in m/s; ``term``: noise (through the estimator; of u, v, w times chi^2), prior (waves
-        that the prior removes), frames (waves that turn too fast for the frames), ripples (shorter than a
-        block) and setup (epipolar error, height of beads, light sheet). NaN where nothing was measured.
+        z in m; u, v, w in m/s. The coordinate ``term`` is noise (image noise through the estimator; for u, v,
+        w scaled by chi^2), prior (waves that the prior damps), frames (waves too fast for the frame rate),
+        ripples (waves shorter than a block) or setup (epipolar error, height of beads, light sheet). NaN
+        where not measured.
 
     Raises
     ------
     WavefieldError
-        If there is no such step, or no frames from which the record's spectra can be learned.
+        If there is no such step, or if none of the sample frames can be measured.
 
     Examples
     --------

@@ -1,15 +1,17 @@
-"""Intake catalogs, which open frames, cubes and waves of many runs by name.
+"""Intake catalogs, which open the frames, cubes and waves of many runs by name.
 
-A catalog ``tank.yaml`` has a folder ``tank`` next to it, and in it one folder per run::
+A run is an experiment of a catalog. A recipe is everything that determines the values of a cube: settings,
+rig, grid, images, algorithm. A catalog ``tank.yaml`` has a folder ``tank`` next to it with one folder per
+run::
 
     tank.yaml
     tank/coriolis-07/experiment.yaml        the experiment, or a link to it
-    tank/coriolis-07/1a2b3c4d/cube.zarr     derived stores, in a folder named after their recipe
+    tank/coriolis-07/1a2b3c4d/cube.zarr     results, in a folder named after the hash of their recipe
     tank/coriolis-07/1a2b3c4d/waves.zarr
-    tank/coriolis-07/latest                 link to the recipe run last
+    tank/coriolis-07/latest                 link to the recipe that was run last
 
-so that the cube of a changed recipe does not replace the old one. Commands take their files from these
-folders. The entries of `intake.open_catalog` open the same, with the parameters ``run`` and ``recipe``.
+A changed recipe therefore does not replace an earlier cube. Commands read and write in these folders. The
+entries of `intake.open_catalog` open the same files, with the parameters ``run`` and ``recipe``.
 """
 
 import errno
@@ -31,7 +33,7 @@ from wavefield.atomic_write import write_text, writing
 from wavefield.config_files import read_yaml, safe_name
 from wavefield.errors import ExperimentError, StoreError
 
-if TYPE_CHECKING:  # slow to import: most commands ask only whether a file is a catalog, and of which runs
+if TYPE_CHECKING:  # slow to import, and most commands only list the runs of a catalog
     from wavefield.execution.workflow import Workflow
     from wavefield.pipeline.running import ProgressFunction
     from wavefield.rig import Rig
@@ -42,7 +44,7 @@ _PARAMETERS = ("run", "recipe", "location")
 
 
 def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = None) -> str:
-    """Register an experiment as a run of a catalog; the catalog is made if it is not there.
+    """Add an experiment to a catalog as a run; creates the catalog if there is none.
 
     Parameters
     ----------
@@ -61,7 +63,7 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
     Raises
     ------
     ExperimentError
-        If the experiment is wrong, or another experiment of that name is in the catalog.
+        If the experiment file is wrong, or the catalog has another run of that name.
     """
     from wavefield.series import Experiment
 
@@ -74,7 +76,7 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
         place = catalog.with_suffix("") / run / "experiment.yaml"
         if place.exists() and Experiment.load(place).path.resolve() != found.path.resolve():
             raise ExperimentError(
-                f"{catalog} has another run {run!r} already; give this one a name of its own"
+                f"{catalog} already has another run {run!r}; give this one a different name"
             )
         if not place.exists():
             with writing(place):
@@ -89,7 +91,7 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
 
 def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> None:
-    """Link the folder of a cube that exists already as that of its recipe, and make it the latest."""
+    """Link the folder of an existing cube under the hash of its recipe, and make it the latest."""
     from wavefield.store.read import is_cube, open_group
 
     if not is_cube(cube):
@@ -105,7 +107,7 @@ def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> N
 
 
 def _options(catalog: Path, data: Mapping[str, Any], parameter: str) -> list[str]:
-    """Options of a parameter of a catalog, to be changed in place."""
+    """The list of options of a parameter; changing it changes the catalog."""
     try:
         options: list[str] = data["user_parameters"][parameter]["options"]
         return options
@@ -117,6 +119,7 @@ def _options(catalog: Path, data: Mapping[str, Any], parameter: str) -> list[str
 
 
 def _template(stem: str) -> str:
+    """Text of a catalog without runs, for a file of the name ``stem``."""
     text = Path(__file__).with_name("new_catalog.yaml").read_text(encoding="utf-8")
     return text.partition("\n")[2].replace("STEM", json.dumps(stem)[1:-1])  # without its first comment
 
@@ -127,11 +130,12 @@ def is_catalog(path: str | Path) -> bool:
     Parameters
     ----------
     path : path
-        YAML.
+        YAML file.
 
     Returns
     -------
     bool
+        True if it has ``entries``.
     """
     return "entries" in read_yaml(Path(path))
 
@@ -153,17 +157,17 @@ def run_catalog(
     catalog : path
         Intake catalog.
     entries : sequence of str
-        Runs; all of them if left out.
+        Names of runs; all by default.
     out : path, optional
-        The store of a single run, in another place than the catalog states.
+        Where to write the store of a single run, outside the catalog's folder.
     rig : path or Rig, optional
-        In place of the ones that the experiments name.
+        Used instead of the rigs that the experiments name.
     workflow : path or Workflow, optional
-        Cluster and recipe.
+        Cluster and settings; by default the processes of this machine.
     progress : callable, optional
-        Called with steps done, steps of the run, and a sentence that names the run.
+        Called with the number of steps done, the number of all steps, and a sentence that names the run.
     parameters : mapping, optional
-        ``location``: the folder of the images, if not that of the experiment file.
+        ``location``: folder of the images, if they are not next to the experiment file.
 
     Returns
     -------
@@ -211,7 +215,7 @@ def run_catalog(
 
 
 def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
-    """Names of a catalog's runs."""
+    """Names of a catalog's runs, or the given ``entries`` if the catalog has them."""
     path = Path(catalog).absolute()
     options = read_yaml(path).get("user_parameters", {}).get("run", {}).get("options", [])
     unknown = [name for name in entries if name not in options]
@@ -227,7 +231,7 @@ def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
 
 
 def _refuse_names(catalog: Path, runs: Sequence[str]) -> None:
-    """Refuse runs whose names would lead out of the catalog's folder."""
+    """Refuse names of runs that lead out of the catalog's folder."""
     try:
         for run in runs:
             safe_name(str(run))
@@ -236,7 +240,7 @@ def _refuse_names(catalog: Path, runs: Sequence[str]) -> None:
 
 
 def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experiment":
-    """The experiment of a run; its images are in the folder ``location`` if that is chosen."""
+    """The experiment of the run ``chosen["run"]``, with its images in ``chosen["location"]`` if given."""
     from wavefield.series import Experiment
 
     place = _folder(catalog, chosen)
@@ -244,12 +248,12 @@ def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experime
 
 
 def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
-    """Path of the cube of a run: that of the recipe run last, unless ``recipe`` is chosen."""
+    """Path of the cube of a run: of the recipe run last, unless ``chosen`` has a ``recipe``."""
     return _folder(catalog, chosen) / chosen.get("recipe", "latest") / "cube.zarr"
 
 
 def _folder(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
-    """Folder of the run that is chosen."""
+    """Folder of the run ``chosen["run"]``; refuses unknown parameters."""
     unknown = [name for name in chosen if name not in _PARAMETERS]
     if unknown:
         raise ExperimentError(f"{catalog} has no parameter {unknown[0]!r}; it has {', '.join(_PARAMETERS)}")
@@ -257,13 +261,14 @@ def _folder(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
 
 
 def _named(progress: "ProgressFunction | None", run: str) -> "ProgressFunction | None":
+    """A progress function that puts the name of the run before each sentence."""
     if progress is None:
         return None
     return lambda done, total, sentence: progress(done, total, f"{run}: {sentence}" if sentence else run)
 
 
 def find_cube(catalog: str | Path, run: str | None = None) -> Path:
-    """The cube of a run: that of the recipe that was run last."""
+    """Path of the latest cube of a run; without a name, of the only run that has one."""
     path = Path(catalog).absolute()
     cubes = {name: cube_of(path, {"run": name}) for name in runs_of(path, () if run is None else [run])}
     existing = {name: cube for name, cube in cubes.items() if cube.exists()}
@@ -278,7 +283,7 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
 
 
 def _new_cube(catalog: Path, run: str, recipe: str) -> Path:
-    """Path of the cube of a run and recipe, which becomes one of the catalog's options."""
+    """Path of the cube of a run and recipe; adds the recipe to the catalog's options."""
     with _editing(catalog) as data:
         options = _options(catalog, data, "recipe")
         if recipe not in options:
@@ -287,7 +292,7 @@ def _new_cube(catalog: Path, run: str, recipe: str) -> Path:
 
 
 def _link_latest(folder: Path) -> None:
-    """Point the link `latest` to the folder of a recipe."""
+    """Point the link ``latest`` next to a recipe's folder to this folder."""
     temporary = folder.with_name(f".latest.{os.getpid()}")
     try:
         temporary.unlink(missing_ok=True)
@@ -306,7 +311,7 @@ def _link_latest(folder: Path) -> None:
 
 @contextmanager
 def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
-    """Lock a catalog, yield its content to be changed, and write it back with its comments."""
+    """Lock a catalog, yield its content for changes, and write it back; comments are kept."""
     editor = YAML()
     editor.preserve_quotes, editor.width = True, 110
     folder = catalog.with_suffix("")
@@ -326,7 +331,7 @@ def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
 
 
 def _quoted(text: str) -> str:
-    """Quote a text that YAML would read as a number or a truth value, such as the recipe 795126e3."""
+    """Quote a text that YAML would read as a number or a boolean, such as the hash 795126e3."""
     quoted: str = SingleQuotedScalarString(text)
     try:
         float(text)

@@ -1,4 +1,8 @@
-"""`check`: find what is missing or wrong in an experiment, and what its run will cost."""
+"""`check`: find missing files and faults of an experiment, and estimate the cost of its run.
+
+A step is the interval between two consecutive frames. A remark is one finding about a measurement, and a
+verdict is the list of all remarks (`wavefield.store.verdict`).
+"""
 
 import shutil
 import time
@@ -20,9 +24,9 @@ from wavefield.grid import Grid
 from wavefield.pipeline.assess import (
     compare_cameras,
     fraction_measured,
+    measure_synchrony,
     record_span,
     remarks_on_fields,
-    synchrony_of,
 )
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from, samples
@@ -56,19 +60,19 @@ from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import short_path, spell_time
 from wavefield.variables import AROUND, FrameFault, FrameStatus
 
-TRIAL_STEPS = 4  # that are measured
+TRIAL_STEPS = 4  # steps that `check` measures
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Time, memory and disk that a run will take, from measured steps."""
+    """Time, memory and disk space that a run will need, extrapolated from a few measured steps."""
 
     step_seconds: float  # Time per step on one worker, s
-    workers: int  # Workers that share the steps
+    workers: int  # Number of workers
     seconds: float  # Time of the whole run, s
     memory: int  # Memory per worker, bytes
     disk: int  # Size of the store, bytes
-    free: int  # Room on the disk of the store, bytes
+    free: int  # Free space on the disk of the experiment, bytes
 
     def __str__(self) -> str:
         workers = "1 worker" if self.workers == 1 else f"{self.workers} workers"
@@ -80,28 +84,28 @@ class Cost:
 
 @dataclass(frozen=True)
 class Trial:
-    """A few steps in the middle of a record, measured."""
+    """A few measured steps in the middle of a record."""
 
-    prepared: PreparedRun  # With what was learned of these steps
-    start: int  # The first of them
-    fields: Mapping[str, NDArray[Any]]  # (n, ny, nx): What a chunk gives
-    cost: Cost  # Of the whole run
+    prepared: PreparedRun  # The run, with spectra and noise learned from these steps
+    start: int  # First of these steps
+    fields: Mapping[str, NDArray[Any]]  # (n, ny, nx): Measured variables
+    cost: Cost  # Estimate for the whole run
 
 
 def measure_some(prepared: PreparedRun) -> Trial:
-    """Measure a few steps in the middle of the run, and extrapolate the cost to all of it."""
+    """Measure a few steps in the middle of the record, and extrapolate the cost to the whole run."""
     start = whole_step(prepared.series)
     stop = min(start + TRIAL_STEPS, prepared.steps)
     learned = learn_from(samples(prepared.series, [start]), prepared.geometry, prepared.experiment.frame_rate)
-    prepared = prepared.with_prior(learned)  # as a run learns; and compiles
+    prepared = prepared.with_prior(learned)  # this also compiles, which is not part of the time per step
     chunk = make_chunk(prepared.series, start, stop, prepared.departures)
     since = time.perf_counter()
     found = measure_chunk(chunk, prepared.geometry, prepared.experiment.frame_rate, prepared.model)
     seconds = (time.perf_counter() - since) / (chunk.steps + 2 * AROUND + 1)  # per frame, all cameras
     if (found.frame_status == FrameStatus.FAILED).all() and not found.fields["quality"].any():
         raise ExperimentError(
-            f"the step of frame {prepared.first_frame + start} could not be measured; check its images, the "
-            "rig and the grid"
+            f"the step that begins at frame {prepared.first_frame + start} could not be measured; check its "
+            "images, the rig and the grid"
         )
     workers = count_workers(prepared.workflow)
     frames_measured = prepared.steps * (1 + (2 * AROUND + 1) / prepared.chunk_steps)
@@ -117,7 +121,7 @@ def measure_some(prepared: PreparedRun) -> Trial:
 
 
 def _stored_bytes(fields: Mapping[str, np.ndarray]) -> int:
-    """Bytes of measured fields after compression as in the store."""
+    """Size in bytes of measured fields when compressed as in the store."""
     codec = numcodecs.Blosc(**COMPRESSION, shuffle=numcodecs.Blosc.SHUFFLE)
     return sum(len(codec.encode(np.ascontiguousarray(values))) for values in fields.values())
 
@@ -128,25 +132,28 @@ def spell_size(count: float) -> str:
 
 
 def whole_step(series: Mapping[str, FrameSeries]) -> int:
-    """The step nearest to the middle of a record for which every camera has both frames."""
+    """The step nearest to the middle of the record whose two frames exist in every camera."""
     complete = complete_steps(series)
     steps = np.flatnonzero(complete)
     if steps.size == 0:
-        raise ExperimentError("no two consecutive frames are there in all cameras: nothing can be measured")
+        raise ExperimentError(
+            "no two consecutive frames exist in all cameras: nothing can be measured; check `images`, "
+            "`frames` and `offset`"
+        )
     return int(steps[np.argmin(np.abs(steps - len(complete) // 2))])
 
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """Frames of one camera; of a record of more than 24 frames only a sample is read."""
+    """Frames of one camera; only a sample of them is read in records of more than 24 frames."""
 
-    name: str  # The camera
-    frames: int  # Frames that have a file
+    name: str  # Name of the camera
+    frames: int  # Number of frames that have a file
     size: tuple[int, int]  # (width, height), px
-    dtype: str  # Type of the images
-    # Frames that are missing or bad. They are numbered as in the run: file numbers plus the camera's `offset`
+    dtype: str  # Data type of the images
+    # Missing or bad frames, numbered as in the run: number of the file plus the camera's `offset`
     bad: tuple[BadFrames, ...]
-    beyond: tuple[int, int] = (0, 0)  # Frames before and after the record, which are not used
+    beyond: tuple[int, int] = (0, 0)  # Numbers of unused frames before and after the record
     first: int = 0  # Number of the first frame of the record
 
     def __str__(self) -> str:
@@ -159,36 +166,37 @@ class CameraCheck:
 
 @dataclass(frozen=True)
 class Check:
-    """What `check` found of an experiment.
+    """Result of `check`.
 
     Parameters
     ----------
     experiment : str
-        Its name.
+        Name of the experiment.
     path : path
         Its file.
     steps : int
-        Steps of the whole run.
+        Number of steps of the whole run.
     frame_rate : float
         Hz.
     cameras : tuple of CameraCheck
         Frames of every camera.
     rig : tuple of str
-        Cameras of the rig; empty if there is none.
+        Names of the rig's cameras; empty without a usable rig.
     grid : Grid or None
-        The nodes.
-    coverage, measured : float or None
-        Fraction of the nodes that every measuring camera sees at rest, and of the nodes in view that were
-        measured in the step tried; None if unknown.
+        Nodes of the cube; None without a usable rig.
+    coverage : float or None
+        Fraction of the nodes that all measuring cameras see when the water is at rest; None if unknown.
+    measured : float or None
+        Fraction of the nodes in view that were measured in the trial steps; None if unknown.
     cost : Cost or None
-        What a run will take; None if it cannot run yet.
+        Estimate for the run; None if it cannot start.
     problems : tuple of str
-        What prevents a run.
+        Reasons why a run cannot start.
     verdict : Verdict or None
-        On the cameras' images; None if they could not be compared.
+        Remarks on frames, cameras, rig, grid and probes; None if there are none.
     motion, heights, clocks : str
-        Sentences on the motion of the water from frame to frame, the elevations that it reaches, and the
-        delays between cameras; empty if unknown.
+        Sentences on the displacement of the water between frames, the range of elevations, and the delays
+        between cameras; empty if unknown.
     """
 
     experiment: str
@@ -209,13 +217,13 @@ class Check:
 
     @property
     def exit_status(self) -> int:
-        """Of a command: 1 where something prevents a run, 3 where a remark matters, else 0."""
+        """Exit status of the command: 1 if a run cannot start, 3 if there are remarks (not notes), else 0."""
         if self.problems:
             return 1
         return self.verdict.exit_status if self.verdict else 0
 
     def to_dict(self) -> dict[str, object]:
-        """Plain data, as for ``--json``."""
+        """The result as plain data, as printed by ``--json``."""
         return asdict(self) | {
             "path": str(self.path),
             "first_frame": self.first_frame,
@@ -256,7 +264,7 @@ class Check:
         if self.coverage is not None:
             text = f"  coverage: all cameras see {100 * self.coverage:.0f} % of the nodes"
             if self.measured is not None:
-                text += f"; the step tried measured {100 * self.measured:.0f} %"
+                text += f"; a trial measured {100 * self.measured:.0f} % of the nodes in view"
             lines.append(text)
         if self.cost:
             lines.append(f"  a run will take {self.cost}")
@@ -269,7 +277,7 @@ class Check:
             ]
             lines.append(f"  patches matched: {'; '.join(pairs)}")
         elif self.verdict and len(self.rig) > 1 and self.coverage is not None:
-            lines.append("  patches matched: none, the cameras have too small a part of the water in common")
+            lines.append("  patches matched: none, because the cameras share too small a part of the water")
         lines += [f"  clocks: {self.clocks}"] if self.clocks else []
         lines += [f"  not ready: {problem}" for problem in self.problems]
         lines += [f"  {remark}" for remark in (self.verdict.remarks if self.verdict else ())]
@@ -281,26 +289,26 @@ def check(
     rig: str | Path | Rig | None = None,
     workflow: str | Path | Workflow | None = None,
 ) -> Check:
-    """Count the frames of an experiment and measure a few of its steps; changes nothing.
+    """Check an experiment before its run: inspect its frames and measure a few steps. Writes no file.
 
     Parameters
     ----------
     experiment : path or Experiment
-        The experiment.
+        Experiment file, or the experiment.
     rig : path or Rig, optional
-        In place of the one that the experiment names.
+        Used instead of the rig that the experiment names.
     workflow : path or Workflow, optional
-        How it would be processed.
+        Cluster and settings of the planned run.
 
     Returns
     -------
     Check
-        To be printed; ``problems`` lists what prevents a run.
+        Printing it gives a summary; ``problems`` lists the reasons why a run cannot start.
 
     Raises
     ------
     ExperimentError
-        If the experiment file is wrong or images are not there.
+        If the experiment file is wrong, or if a camera has no images.
 
     Examples
     --------
@@ -309,7 +317,7 @@ def check(
     >>> found.ready, found.problems  # doctest: +SKIP
     (True, ())
     """
-    experiment, _ = load_files(experiment, None)  # a wrong workflow is one of the problems
+    experiment, _ = load_files(experiment, None)  # errors of the workflow are reported as a problem below
     series = experiment.open_frames()
     measuring = {name: series[name] for name in experiment.measuring_cameras}
     sample = sample_frames(measuring)
@@ -320,7 +328,7 @@ def check(
         prepared = prepare(experiment, rig, workflow)
         refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
         if experiment.rest:
-            experiment.at_rest().open_frames()  # are they there?
+            experiment.at_rest().open_frames()  # raises if images of the still-water record are missing
         with one_opencv_thread():
             trial = measure_some(prepared)
         faults = compare_cameras(prepared, trial.fields["quality"])
@@ -366,26 +374,27 @@ def check(
 
 
 def _synchrony(trial: Trial) -> Synchrony:
-    """Delays between cameras, at the frames between the steps that were measured."""
+    """Delays between cameras, at the frames between the trial steps."""
     fields = {name: (("time", "y", "x"), trial.fields[name]) for name in ("u", "v", "w", "quality")}
     cube, first = xr.Dataset(fields), trial.start
-    return synchrony_of(trial.prepared, cube, range(first + 1, first + cube.sizes["time"]), first)
+    return measure_synchrony(trial.prepared, cube, range(first + 1, first + cube.sizes["time"]), first)
 
 
 def _remark_on_disk(cost: Cost) -> Remark:
+    """Remark on a disk with less free space than the run needs."""
     return Remark(
         "disk",
         "disk space",
         "remark",
-        f"a run writes {spell_size(cost.disk)}, and {spell_size(cost.free)} are free",
-        "It may stop before its end",
+        f"the run will write {spell_size(cost.disk)}, but only {spell_size(cost.free)} are free",
+        "The run may stop before its end",
         "Free some space or write elsewhere with -o",
         {"bytes": cost.disk, "free": cost.free},
     )
 
 
 def _summary(series: FrameSeries, found: FrameInspection) -> CameraCheck:
-    """Summary of one camera."""
+    """Summary of one camera's frames."""
     rows, columns = series.shape
     faults = {FrameFault.MISSING: tuple(int(n) for n in series.missing)}
     for fault in FAULTS:

@@ -1,8 +1,9 @@
-"""Measure one chunk of steps and write it.
+"""Measure one chunk and write it into the store.
 
-A chunk of n steps reads n + 5 frames: both frames of each step, and two neighbours on either side for z at
-mid-time; and one before these, with which the first of them is compared. Chunks do not depend on each other:
-they can be measured in any order, anywhere, any time again.
+A step is the interval between two consecutive frames; the cube has one value per node and step. A chunk is a
+range of n steps that one task measures. It reads n + 5 frames: the n + 1 frames of its steps and two more on
+either side for z at mid-step. One frame before these is read as well, to find out whether the first repeats
+it. Chunks are independent: they can be measured in any order, by any process, and again.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,28 +31,28 @@ class Source(Protocol):
         ...
 
     def covered(self, index: int) -> np.ndarray | None:
-        """Mask of a frame, True where masked; None without one."""
+        """Mask of a frame (row, column), True where masked; None if there is none."""
         ...
 
     def place(self, index: int) -> str:
-        """Name of a frame for a message."""
+        """Name of a frame for messages."""
         ...
 
     def window(self, start: int, stop: int) -> "Source":
-        """The part that a chunk needs."""
+        """The frames from start to stop (excluded)."""
         ...
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Steps start to stop (not included), and the frames around them."""
+    """A range of steps with the frames that it needs."""
 
-    start: int  # Range of steps
-    stop: int
-    # Frames start - 3 to stop + 2 of every camera, as far as there are any
+    start: int  # First step
+    stop: int  # Step after the last
+    # By camera: the frames from start - 3 to stop + 2 that exist
     sources: Mapping[str, Source] = field(repr=False)
-    first: int  # Index of the frame that is index 0 of the sources
-    # (n + 5,): departures of its frames from even times, intervals; None where there are none
+    first: int  # Index in the record of the first frame of the sources
+    # (n + 5,): lateness of its frames relative to even times, in frame intervals; None if times are even
     departures: np.ndarray | None = field(default=None, repr=False)
 
     @property
@@ -62,18 +63,18 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Measured:
-    """Results of a chunk."""
+    """Results of a chunk of n steps."""
 
     fields: dict[str, np.ndarray]  # (n, ny, nx): The variables of `wavefield.variables.CUBE_FIELDS`
     frame_status: np.ndarray  # (n,): See `wavefield.variables.FrameStatus`
-    faults: dict[str, dict[int, FrameFault]]  # Bad frames of each camera, by index in the whole series
-    messages: list[str]  # A sentence about each of them
+    faults: dict[str, dict[int, FrameFault]]  # Bad frames of each camera, by index in the record
+    messages: list[str]  # A sentence about each bad frame
 
 
 def make_chunk(
     sources: Mapping[str, Source], start: int, stop: int, departures: np.ndarray | None = None
 ) -> Chunk:
-    """Cut out what a chunk needs; departures of all frames from even times."""
+    """The chunk of steps start to stop (excluded); sources and departures are those of the whole record."""
     first = max(start - AROUND - 1, 0)
     windows = {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}
     if departures is not None:
@@ -82,9 +83,7 @@ def make_chunk(
 
 
 def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> Frame:
-    """Read a frame; one that equals the frame before it in every pixel is marked as repeated.
-    The image before it is read unless it is given.
-    """
+    """Read a frame, and mark it as repeated if it equals the image ``before``, which is read unless given."""
     frame = source.read(index)
     if frame.image is not None and index:
         before = source.read(index - 1).image if before is None else before
@@ -95,14 +94,14 @@ def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> 
 
 
 class ChunkFrames(Sequence[np.ndarray | None]):
-    """The n + 5 frames of one camera, read on demand; only the last few are kept in memory."""
+    """The n + 5 frames of one camera in a chunk, read on demand; only the last few stay in memory."""
 
-    _KEEP = 2 * AROUND + 2  # as many as a step at mid-time uses
+    _KEEP = 2 * AROUND + 2  # frames that one step uses
 
     def __init__(self, source: Source, chunk: Chunk) -> None:
         self._source, self._chunk = source, chunk
         self._kept: dict[int, np.ndarray | None] = {}
-        self._latest: tuple[int, np.ndarray | None] = (-2, None)  # index in the source, image as it was read
+        self._latest: tuple[int, np.ndarray | None] = (-2, None)  # index in the source and image, last read
         self.faults: dict[int, FrameFault] = {}
         self.messages: dict[int, str] = {}
 
@@ -122,7 +121,7 @@ class ChunkFrames(Sequence[np.ndarray | None]):
         index = self._chunk.start - AROUND + position
         inside = index - self._chunk.first
         if not 0 <= inside < len(self._source):
-            return None  # before the first or after the last frame: not a fault
+            return None  # outside the record: not a fault
         frame = read_frame(self._source, inside, self._latest[1] if self._latest[0] == inside - 1 else None)
         self._latest = inside, frame.image
         if not frame.fault:
@@ -132,7 +131,7 @@ class ChunkFrames(Sequence[np.ndarray | None]):
 
 
 class ChunkMasks(Sequence[np.ndarray | None]):
-    """Masks of the n + 5 frames of one camera."""
+    """Masks of the n + 5 frames of one camera in a chunk."""
 
     def __init__(self, source: Source, chunk: Chunk) -> None:
         self._source, self._chunk = source, chunk
@@ -152,7 +151,7 @@ def measure_chunk(
     model: "Model | None" = None,
     terms: bool = False,
 ) -> Measured:
-    """Measure all steps of a chunk; with the terms of the standard uncertainties if asked for."""
+    """Measure all steps of a chunk; ``terms`` adds the terms of the standard uncertainties to the fields."""
     from wavefield.measurement.stabilize import steady
     from wavefield.measurement.step import measure
 
@@ -171,7 +170,7 @@ def measure_chunk(
 def _find_dim_frames(
     frames: Mapping[str, ChunkFrames], status: np.ndarray, chunk: Chunk, geometry: "GridGeometry"
 ) -> None:
-    """Mark nearly blank frames of steps that were not fully measured."""
+    """Mark nearly blank frames in steps that were not fully measured."""
     from wavefield.measurement.images import usable
 
     suspicious = np.flatnonzero(status != FrameStatus.DONE)
@@ -192,13 +191,13 @@ def _find_high_water(
     chunk: Chunk,
     geometry: "GridGeometry",
 ) -> None:
-    """Mark the frames of steps whose water reaches an end of the range of elevations that is searched."""
+    """Mark frames in which the water reaches a limit of the elevations that are searched."""
     from wavefield.measurement.search_range import at_border
 
     for step in np.flatnonzero(status != FrameStatus.FAILED).tolist():
         if at_border(z[step], geometry.z_range):
             index, reference = chunk.start + step, frames[geometry.reference]
-            sentence = "the water reaches the border of the elevations searched"
+            sentence = "the water reaches a limit of the elevations searched (`z_range`)"
             reference.faults.setdefault(index, FrameFault.RANGE)
             reference.messages.setdefault(index, f"{geometry.reference} frame at index {index}: {sentence}")
             status[step] = FrameStatus.DONE_WITH_FAULTS
@@ -206,21 +205,21 @@ def _find_high_water(
 
 @dataclass(frozen=True)
 class Report:
-    """Summary of a chunk that was written, which a worker returns."""
+    """Summary of a written chunk, which a worker returns."""
 
-    start: int  # Range of steps
-    stop: int
+    start: int  # First step
+    stop: int  # Step after the last
     failed: int  # Steps that could not be measured
     messages: tuple[str, ...]  # A sentence about each bad frame
 
 
 @dataclass(frozen=True)
 class Work:
-    """Measures one chunk and writes it; sent to every worker."""
+    """The task of a worker: measure one chunk and write it."""
 
-    store: Path  # Where to write
-    geometry: "GridGeometry"  # Pickles as rig, grid and settings; computed once per process
-    model: "Model | None"  # What was learned of the record
+    store: Path  # Store of the cube
+    geometry: "GridGeometry"  # Pickled as rig, grid and settings, and computed once per process
+    model: "Model | None"  # Bead widths, spectra and noise learned from the record
     frame_rate: float  # Hz
 
     def __call__(self, chunk: Chunk) -> Report:

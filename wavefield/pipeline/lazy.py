@@ -1,4 +1,8 @@
-"""The lazy cube: `reconstruct` maps the measurement over chunks of steps, one Dask task each."""
+"""The lazy cube: `reconstruct` maps the measurement over chunks of steps, one Dask task per chunk.
+
+A step is the interval between two consecutive frames. The record (`LearnedRecord`) holds bead widths, wave
+spectra and noise, which are learned from sample steps and weight the estimator at every step.
+"""
 
 import threading
 import uuid
@@ -30,39 +34,39 @@ if TYPE_CHECKING:
 
     Known = tuple[GridGeometry, Model | None]
 
-# A chunk reads five frames more than it has steps, and one step alone costs as much as its chunk.
+# Longer chunks share the cost of their five extra frames; shorter ones make single steps available earlier
 STEPS_PER_TASK = 24
-SEARCHED_STEPS = 2  # sample steps in which the ranges to search are found
+SEARCHED_STEPS = 2  # sample steps from which search ranges are found
 
 
 @dataclass(frozen=True)
 class ArraySource:
-    """Images of one camera in an xarray variable, lazy or not."""
+    """Images of one camera in an xarray variable, in memory or lazy."""
 
-    camera: str  # Its name
+    camera: str  # Name of the camera
     variable: xr.Variable  # (time, row, column)
-    mask: xr.Variable | None = None  # (row, column) or (time, row, column): True where pixels do not count
+    mask: xr.Variable | None = None  # (row, column) or (time, row, column): True for pixels to leave out
 
     def __len__(self) -> int:
         return int(self.variable.shape[0])
 
     def read(self, index: int) -> Frame:
-        """Read one frame; an image without contrast counts as bad."""
+        """Read one frame; a blank image counts as bad."""
         return check_content(np.asarray(self.variable[index].values), self.place(index))
 
     def place(self, index: int) -> str:
-        """Name of a frame for a message."""
+        """Name of a frame for messages."""
         return f"{self.camera} frame {index}"
 
     def covered(self, index: int) -> np.ndarray | None:
-        """Mask of a frame (row, column), True where masked; None without one."""
+        """Mask of a frame (row, column), True where masked; None if there is none."""
         if self.mask is None:
             return None
         mask = self.mask[index] if self.mask.ndim == 3 else self.mask
         return np.asarray(mask.values, bool)
 
     def window(self, start: int, stop: int) -> "ArraySource":
-        """The part that a chunk needs."""
+        """The frames from start to stop (excluded)."""
         part = slice(max(start, 0), stop)
         mask = self.mask[part] if self.mask is not None and self.mask.ndim == 3 else self.mask
         return replace(self, variable=self.variable[part], mask=mask)
@@ -79,48 +83,49 @@ def reconstruct(
 ) -> xr.Dataset:
     """Turn image series into a lazy cube of elevation and velocity.
 
-    Nothing is read or computed before values are requested; then four sample steps of the whole series give
-    the weights of every step: beads, spectra, noise. They are measured once and kept with the cube. A chunk
-    is measured as a whole: to look at single steps, choose a small ``steps_per_block``. To process a whole
-    experiment into a store that survives interruptions, use `wavefield.pipeline.run`.
+    Images are read when values are requested. The first request also learns the record from four sample steps
+    of the whole series, which is kept with the cube. A request for one step computes its whole chunk: to look
+    at single steps, choose a small ``steps_per_block``. To process an experiment into a store that survives
+    interruptions, use `wavefield.pipeline.run`.
 
     Parameters
     ----------
     frames : DataTree or mapping of str to DataArray
         Images (time, row, column) per camera: a tree with one node per camera and ``image`` in it, as
-        ``xr.open_datatree("experiment.yaml", engine="wavefield")`` gives, or arrays by name of camera.
-        ``mask`` next to an image, (row, column) or (time, row, column), is true where pixels do not count.
-        All have the same times, evenly spaced; a coordinate ``departure`` (time) of the images, which
-        an experiment with time stamps has, states by how many intervals later each was really taken.
+        ``xr.open_datatree("experiment.yaml", engine="wavefield")`` returns, or arrays by name of camera. A
+        variable ``mask`` next to an image, (row, column) or (time, row, column), is true for pixels to leave
+        out. All cameras have the same times in seconds, evenly spaced. If cameras have time stamps, the
+        images have a coordinate ``departure`` (time): how much later each was taken, in frame intervals.
     rig : Rig or path
-        The cameras, or their file: ``rig.yaml``, or one of another program (`load_rig`).
+        The cameras, or their file: ``rig.yaml``, or the rig file of another program (`load_rig`).
     grid : Grid or mapping, optional
-        Nodes at which to measure, metres (``dict(x=(-1, 1), y=(-1, 1), step=0.01)`` is as good); by default
-        the largest rectangle that all cameras see.
+        Nodes of the cube in metres, also as a mapping such as ``dict(x=(-1, 1), y=(-1, 1), step=0.01)``; by
+        default the largest rectangle that all cameras see.
     settings : wavefield.measurement.Settings, optional
-        Choices of the measurement.
+        Settings of the measurement.
     steps_per_block : int
-        Steps of one chunk, which one task measures; it does not change the values.
+        Number of steps of a chunk. It does not change the values.
     record : mapping, optional
-        What was learned from the whole record, ``cube.wavefield.recipe["record"]`` of an earlier cube: then
-        a few of its steps come out as they are there. Otherwise it is learned from these frames.
+        The record learned for an earlier cube, ``cube.wavefield.recipe["record"]``: a part of its frames then
+        gives the same values as in that cube. By default it is learned from these frames.
 
     Returns
     -------
     Dataset
-        Every variable of the cube on (time, y, x), Dask arrays; time at mid-step, seconds.
+        The cube: Dask arrays z (m), u, v, w (m/s), their standard uncertainties and further variables on
+        (time, y, x); time at mid-step in seconds.
 
     Raises
     ------
     ExperimentError
-        If cameras are missing, or times are not evenly spaced.
+        If cameras are missing, or if times are not evenly spaced.
     RigError
-        If the rig's file cannot be read, the images have other sizes than its cameras, or these have no
-        field in common and no grid is given.
+        If the rig file cannot be read, if images have another size than the rig's cameras, or if no grid is
+        given and the cameras share no field.
 
     Examples
     --------
-    Images that are all black, of which nothing is read yet: work begins when values are requested.
+    Black images, which are not read before values are requested.
 
     >>> from wavefield.tank import Scene
     >>> rig = Scene.load("demo").build_rig()
@@ -202,17 +207,17 @@ def reconstruct(
 
 
 def _grid_of(given: Mapping[str, Any]) -> Grid:
-    """A grid from a mapping with x, y and step."""
+    """A grid from a mapping of x, y and step."""
     try:
         return Grid(**given)
     except (TypeError, IndexError) as error:
         raise ExperimentError(
-            f"grid: give x and y (first and last node) and step, metres, not {dict(given)!r}"
+            f"grid: give x and y (first and last node) and step in metres, not {dict(given)!r}"
         ) from error
 
 
 def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
-    """All variables of a chunk: a dict in the first element of an array with one element per step."""
+    """All variables of a chunk, as a dict in the first element of an object array (n,)."""
     geometry, model = known
     measured = measure_chunk(chunk, geometry, frame_rate, model)
     out = np.empty(chunk.steps, object)
@@ -221,7 +226,7 @@ def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
 
 
 def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array:
-    """One variable of the cube, from the dicts of all chunks."""
+    """One lazy variable of the cube, from the dicts of all chunks."""
     row = TABLE[name]
     nodes = shape if len(row.dims) == 3 else ()
     out: da.Array = da.map_blocks(
@@ -238,7 +243,7 @@ def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array
 def _gain(
     once: Mapping[str, Delayed], geometry: "GridGeometry"
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The lazy response of the measurement to waves, and its axes."""
+    """The lazy response of the measurement to waves (gain tables), and the axes of the tables."""
     from wavefield.measurement.resolution import tabulated
 
     table = tabulated(geometry, None)
@@ -251,19 +256,19 @@ def _gain(
 
 
 def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> None:
-    """Refuse a record that was learned with other cameras."""
+    """Refuse a learned record that lacks cameras."""
     for part, cameras in (("beads", geometry.cameras), ("displacement", geometry.velocity_cameras)):
         learned = record.get(part)
         absent = [name for name in cameras if not isinstance(learned, Mapping) or name not in learned]
         if absent:
             raise ExperimentError(
-                f"the record was learned without {', '.join(absent)}: give that of a cube of these cameras "
-                "and settings, or leave `record` out"
+                f"the record was learned without {', '.join(absent)}: give the record of a cube of these "
+                "cameras and settings, or leave `record` out"
             )
 
 
 class _Learner:
-    """Geometry with its search ranges, and the model of the record: learned once, then kept."""
+    """Learns search ranges and the record when first called, and returns the same afterwards."""
 
     def __init__(
         self, geometry: "GridGeometry", frame_rate: float, record: Mapping[str, object] | None
@@ -286,14 +291,14 @@ class _Learner:
         from wavefield.measurement.search_range import search_widened
 
         geometry, learned = self.geometry, self.record
-        if learned is None:  # else the ranges are those of the settings, as in the earlier cube
+        if learned is None:  # otherwise the settings contain the search ranges, as those of the earlier cube
             geometry = search_widened(list(map(both_frames, pairs[:SEARCHED_STEPS])), geometry)
             learned = learn_from(pairs, geometry, self.frame_rate)
         return geometry, Model(geometry, LearnedRecord.from_dict(learned)) if learned else None
 
 
 def _from_record(known: "Known") -> dict[str, np.ndarray]:
-    """Values that the cube holds once for all steps."""
+    """Values that do not depend on time."""
     geometry, model = known
     record = model.record if model else None
     frames = np.asarray(record.path_frames if record else 4, np.uint8)
@@ -303,7 +308,7 @@ def _from_record(known: "Known") -> dict[str, np.ndarray]:
 def _images(
     frames: xr.DataTree | Mapping[str, xr.DataArray],
 ) -> tuple[dict[str, xr.DataArray], dict[str, xr.Variable]]:
-    """Images and masks by camera."""
+    """Images and masks by name of camera."""
     if isinstance(frames, xr.DataTree):
         nodes = {name: node.to_dataset() for name, node in frames.children.items()}
         images = {name: node["image"] for name, node in nodes.items() if "image" in node}
@@ -312,7 +317,7 @@ def _images(
 
 
 def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) -> tuple[np.ndarray, float]:
-    """Times of the frames, and the frame rate."""
+    """Times of the frames in s, and the frame rate in Hz; refuses uneven times."""
     name, first = next(iter(arrays.items()))
     for other, array in arrays.items():
         if array.dims[0] != "time" or array.ndim != 3:
@@ -335,6 +340,7 @@ def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) ->
 
 
 def _check_sizes(arrays: Mapping[str, xr.DataArray], rig: Rig) -> None:
+    """Refuse images of another size than the rig's cameras."""
     for name, array in arrays.items():
         w, h = rig[name].size
         if array.shape[1:] != (h, w):

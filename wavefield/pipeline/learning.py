@@ -1,4 +1,8 @@
-"""Learn beads, spectra and noise from sample frames of the record before its first chunk is measured."""
+"""Learn bead widths, wave spectra and noise from sample steps of a record, before its chunks are measured.
+
+A step is the interval between two consecutive frames. The learned record gives the weights of the estimator
+at every step; it is stored in the recipe of the cube (see `wavefield.store.recipe`).
+"""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,16 +19,22 @@ from wavefield.series import Frame
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord
 
-_TRIES = 3  # sets of samples, where frames are missing or bad
-_SEARCHED_STEPS = 64  # of a record, for waves that come and go
-_MIN_ENERGY_RATIO = 1 / 32  # median of the sample steps over the largest: spectra suppress stronger waves
-_MIN_MOTION_PX = 0.1  # rms: less is noise
+_TRIES = 3  # sets of sample steps that are tried if frames are missing or bad
+_SEARCHED_STEPS = 64  # steps in which waves are looked for
+# Smallest ratio of the median energy of the sample steps to the largest energy found: with spectra of weaker
+# waves, the estimator would suppress the strongest ones
+_MIN_ENERGY_RATIO = 1 / 32
+_MIN_MOTION_PX = 0.1  # px rms: less is noise
 
 
 def learn_record(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
-    """Learn from sample steps of a record; the result lists them as `steps`."""
+    """Learn from sample steps of a record.
+
+    Returns the learned record as plain data, with the sample steps as ``steps``; empty if no set of samples
+    can be measured. ``steps`` is the number of steps of the record, ``frame_rate`` is in Hz.
+    """
     from wavefield.measurement import sample_steps
 
     for number in range(_TRIES):
@@ -36,12 +46,12 @@ def learn_record(
 
 
 def samples(sources: Mapping[str, Source], steps: Sequence[int]) -> list[Mapping[str, Source]]:
-    """The two frames of some steps of a record, and the one before them if there is one."""
+    """The two frames of each step, by camera, and the frame before them if there is one."""
     return [{n: s.window(max(k - 1, 0), k + 2) for n, s in sources.items()} for k in steps]
 
 
 def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Both frames of a sample step, by camera; None where one is bad or repeats the frame before it."""
+    """First and second images of a sample step, by camera; None for a frame that is bad or repeated."""
     first = {name: read_frame(source, len(source) - 2) for name, source in sample.items()}
     second = {name: read_frame(source, len(source) - 1, first[name].image) for name, source in sample.items()}
 
@@ -54,7 +64,10 @@ def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str,
 def steps_with_waves(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
 ) -> list[int]:
-    """Steps to learn from: evenly over the record or, if these miss its waves, over the part with waves."""
+    """Steps to learn from: spread over the record or, if these miss its waves, over the part with waves.
+
+    The energy of a step is the variance of the displacements of patches in one camera about the mean current.
+    """
     from wavefield.measurement import sample_steps
 
     usual = sample_steps(steps)
@@ -62,21 +75,20 @@ def steps_with_waves(
         return usual
     name = geometry.velocity_cameras[0]
     places = sorted({*usual, *evenly_spaced(steps, _SEARCHED_STEPS)})
-    layout = PatchMatcher(lambda name, k: sources[name].read(k).image, geometry.rig, geometry.grid)
-
-    if not len(layout.x):  # the grid is narrower than a patch
+    matcher = PatchMatcher(lambda name, k: sources[name].read(k).image, geometry.rig, geometry.grid)
+    if not len(matcher.x):  # the grid is narrower than a patch
         return usual
 
-    def moved_from(k: int) -> np.ndarray:
-        first, second = (layout.sampled(name, frame) for frame in (k, k + 1))
+    def displacements(k: int) -> np.ndarray:
+        first, second = (matcher.sampled(name, frame) for frame in (k, k + 1))
         if first is None or second is None:
             return np.zeros((0, 2))
-        moved = compare(first[::2], second[::2])  # some thirty patches suffice
+        moved = compare(first[::2], second[::2])  # about thirty patches suffice
         assert moved is not None
         return moved[np.isfinite(moved[:, 0])]
 
     with ThreadPoolExecutor(threads) as pool:
-        motion = list(pool.map(moved_from, places))
+        motion = list(pool.map(displacements, places))
     current = np.mean(np.concatenate(motion), axis=0) if any(map(len, motion)) else 0.0
     energy = {k: float(np.mean((m - current) ** 2)) if len(m) else 0.0 for k, m in zip(places, motion)}
     largest = max(*energy.values(), _MIN_MOTION_PX**2)
@@ -89,7 +101,7 @@ def steps_with_waves(
 def learn_from(
     pairs: Sequence[Mapping[str, Source]], geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
-    """Learn from sample steps; frame rate in Hz."""
+    """The record learned from sample steps, as plain data; empty if none can be measured. Rate in Hz."""
     from wavefield.measurement import learn
     from wavefield.measurement.stabilize import corrected
 
@@ -100,13 +112,13 @@ def learn_from(
     if geometry.settings.vibration == "correct":
         steps = [(corrected(first, geometry), corrected(second, geometry)) for first, second in steps]
     covered = [(masks(pair, 2), masks(pair, 1)) for pair in pairs]
-    with one_opencv_thread():  # each of them
+    with one_opencv_thread():  # in each of our threads
         record = learn(steps, geometry, covered, threads, frame_rate)
     return {} if record is None else record.to_dict()
 
 
 def once_per_cube(geometry: "GridGeometry", record: "LearnedRecord | None") -> dict[str, np.ndarray]:
-    """Values that a cube holds once for all steps: its response to waves, and the uncertainty of z = 0."""
+    """Variables without time: the response to waves (gain tables), and the uncertainty of z = 0 in m."""
     from wavefield.measurement.error_budget import level_std
     from wavefield.measurement.resolution import tabulated
 

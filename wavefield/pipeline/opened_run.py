@@ -1,7 +1,8 @@
-"""Open a cube with what belongs to it: recipe, rig, experiment, images, probes, waves, truth.
+"""Open a cube with its recipe, rig, experiment, images, probes, waves and truth.
 
-The experiment's file is named relative to the store, so that a folder can be copied; some of its images are
-compared with those that the cube was begun with.
+A recipe is everything that determines the values of a cube: settings, rig, grid, images, algorithm. The cube
+names its experiment file relative to the store, so that a folder can be copied. Checksums of a few images
+(fingerprints) show whether these are still the images of the cube.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ from wavefield.store import beside
 from wavefield.store.read import find_store
 from wavefield.store.recipe import recipe_of, source_of, state_of
 
-if TYPE_CHECKING:  # half a second to import, which a run needs at its end alone
+if TYPE_CHECKING:  # takes half a second to import, and a run needs it only at its end
     import xarray as xr
 
-SAMPLE_FRAMES = 3  # frames of each camera: first, middle and last
+SAMPLE_FRAMES = 3  # frames of each camera with a checksum: first, middle and last
 
 
 def image_names(experiment: Experiment, camera: str) -> list[Any]:
-    """Names, offset and time stamps of a camera's images, as the recipe stores them."""
+    """File names, offset and time stamps of a camera's images, as in the recipe."""
     section = experiment.cameras[camera]
     images: Any = section.images
     if not isinstance(images, str) and len(images) > 20:  # a long list is identified by its hash
@@ -46,7 +47,7 @@ def image_names(experiment: Experiment, camera: str) -> list[Any]:
 
 
 def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
-    """Attributes of a cube that describe its experiment; no value depends on them."""
+    """Attributes of a cube that describe its experiment; the values of the cube do not depend on them."""
     home, own = store.absolute().parent.resolve(), experiment.path.parent.resolve()
     out: dict[str, Any] = {"experiment_file": _relative(own / experiment.path.name, home)}
     if experiment.description:
@@ -58,6 +59,7 @@ def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
 
 
 def _relative(path: Path, home: Path) -> str:
+    """A path relative to a folder, if both are on one drive."""
     try:
         return Path(os.path.relpath(path, home)).as_posix()
     except ValueError:  # on another drive
@@ -65,18 +67,18 @@ def _relative(path: Path, home: Path) -> str:
 
 
 def _named(store: Path, attributes: Mapping[str, object], name: str) -> Path:
-    """Path that an attribute gives, relative to the folder of the store."""
+    """Path in an attribute, which is relative to the folder of the store."""
     home = store.absolute().parent.resolve()
     return Path(os.path.normpath(home / str(attributes.get(name, ""))))
 
 
 def experiment_path(store: Path, attributes: Mapping[str, object]) -> Path:
-    """Where the experiment file of a cube is expected."""
+    """Path of the experiment file that the attributes of a cube name."""
     return _named(store, attributes, "experiment_file")
 
 
 def load_experiment(store: Path, attributes: Mapping[str, object], given: Path | None = None) -> Experiment:
-    """Read the experiment of a cube: the given file, else the one beside the cube, else the one it names."""
+    """Read the experiment of a cube: the given file, else that next to the cube, else the file it names."""
     named, folder = experiment_path(store, attributes), _named(store, attributes, "image_folder")
     images = folder if attributes.get("image_folder") and folder.is_dir() else None
     if given is not None:
@@ -96,7 +98,7 @@ def load_experiment(store: Path, attributes: Mapping[str, object], given: Path |
 
 
 def _check_fits(experiment: Experiment, store: Path, attributes: Mapping[str, object]) -> None:
-    """Refuse an experiment with other images: other names, or another first frame."""
+    """Refuse an experiment whose images have other names or another first frame than those of the cube."""
     recipe = json.loads(str(attributes.get("recipe", "{}")))
     for camera, names in recipe.get("images", {}).items():
         if camera not in experiment.cameras or image_names(experiment, camera)[0] != names[0]:
@@ -107,13 +109,13 @@ def _check_fits(experiment: Experiment, store: Path, attributes: Mapping[str, ob
     first = {camera: {k: sums[k] for k in sorted(sums, key=int)[:1]} for camera, sums in begun.items()}
     try:
         frames = experiment.open_frames() if first else {}
-    except (WavefieldError, OSError):  # images that are no longer there
+    except (WavefieldError, OSError):  # the images have been removed
         return
     check_images(str(store), first, frames)
 
 
 def fingerprints(series: Mapping[str, FrameSeries]) -> dict[str, dict[str, int]]:
-    """Checksums of the grey levels of some frames of each camera."""
+    """Checksums of the grey levels of a few frames of each camera."""
     out: dict[str, dict[str, int]] = {}
     for name, frames in series.items():
         read = {str(k): frames.read(k).image for k in from_first_to_last(len(frames), SAMPLE_FRAMES)}
@@ -128,14 +130,14 @@ def _sum(image: np.ndarray) -> int:
 def check_images(
     store: str, begun: Mapping[str, Mapping[str, int]], series: Mapping[str, FrameSeries]
 ) -> None:
-    """Refuse images that differ from those that a cube was begun with."""
+    """Refuse images that differ from those with which the run of a cube began."""
     for name, sums in begun.items():
-        for index, requested in sums.items():
+        for index, expected in sums.items():
             frames = series.get(name)
             image = frames.read(int(index)).image if frames is not None else None
-            if frames is not None and image is not None and _sum(image) != requested:
+            if frames is not None and image is not None and _sum(image) != expected:
                 raise StoreError(
-                    f"{store} was begun with other images: {frames.place(int(index))} is not what it was; "
+                    f"{store} was begun with other images: {frames.place(int(index))} has changed; "
                     "write to another store with -o, or remove this one"
                 )
 
@@ -145,23 +147,23 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A cube and what belongs to it, each read when it is first used.
+    """A cube with its recipe, rig, experiment, images, probes, waves and truth, each read when first used.
 
-    What is absent is None (or empty); `reason` gives the reason.
+    Anything that is absent is None or empty, and `reason` explains why.
 
     Parameters
     ----------
     cube : Dataset, (time, y, x)
         The cube, lazy.
     store : path
-        Its store.
+        Store of the cube.
     waves_path : path
-        Where its waves are expected.
+        Store of its waves, which may not exist.
     experiment_path : path, optional
-        Its experiment file; by default the file of that name beside the cube, or the one that it was made
-        from, if its images are those of the cube.
+        Experiment file; by default the file of that name next to the cube, or else the original file, if its
+        images are those of the cube.
     truth_path : path, optional
-        The exact fields of a simulated experiment; by default beside the experiment file.
+        Exact fields of a simulated experiment; by default next to the experiment file.
     """
 
     cube: xr.Dataset
@@ -172,17 +174,17 @@ class Run:
     _reasons: dict[str, str] = field(default_factory=dict, init=False, repr=False)
 
     def reason(self, name: str) -> str:
-        """Why something of the run is absent.
+        """Why a part of the run is absent.
 
         Parameters
         ----------
         name : str
-            Such as "experiment" or "waves".
+            Name of an attribute, such as "experiment" or "waves".
 
         Returns
         -------
         str
-            A sentence; empty where nothing is absent.
+            A sentence; empty if it is there.
         """
         getattr(self, name)
         return self._reasons.get(name, "")
@@ -192,12 +194,14 @@ class Run:
         """The recipe of the cube as plain data; empty if it has none."""
         found = recipe_of(self.cube.attrs)
         if not found:
-            self._reasons["recipe"] = "the cube does not state how it was made"
+            self._reasons["recipe"] = (
+                "the cube has no attribute `recipe`, so that it is unknown how it was made"
+            )
         return found
 
     @cached_property
     def rig(self) -> Rig | None:
-        """The cameras that measured."""
+        """The cameras that were used; None if the recipe has no rig."""
         cameras = self.recipe.get("rig")
         if not cameras:
             self._reasons["rig"] = "the cube's recipe has no rig"
@@ -206,7 +210,7 @@ class Run:
 
     @cached_property
     def grid(self) -> Grid:
-        """The nodes."""
+        """The nodes of the cube."""
         if grid := self.recipe.get("grid"):
             return Grid(**grid)
         x, y = self.cube.x.values, self.cube.y.values
@@ -214,7 +218,7 @@ class Run:
 
     @cached_property
     def experiment(self) -> Experiment | None:
-        """The experiment, if its file is still there and can be read."""
+        """The experiment; None if its file is missing or cannot be read."""
 
         def load() -> Experiment | None:
             return load_experiment(self.store, self.cube.attrs, self.experiment_path)
@@ -223,7 +227,7 @@ class Run:
 
     @cached_property
     def frames(self) -> dict[str, FrameSeries]:
-        """Images of every camera with their masks, if they are still there."""
+        """Images of every camera with their masks; empty if they are missing."""
         experiment, rig = self.experiment, self.rig
         if experiment is None:
             self._reasons["frames"] = f"the experiment file cannot be read: {self._reasons['experiment']}"
@@ -240,12 +244,12 @@ class Run:
 
     @cached_property
     def probes(self) -> xr.Dataset | None:
-        """The wave probes of the experiment, if it has any and their file is there.
+        """Elevations at the wave probes of the experiment; None without probes or without their file.
 
         Raises
         ------
         ExperimentError
-            If that file is wrong.
+            If the file cannot be read.
         """
         experiment = self.experiment
         if experiment is None or experiment.probes is None:
@@ -253,19 +257,19 @@ class Run:
             return None
         file = experiment.resolve(experiment.probes.file)
         if not file.is_file():
-            self._reasons["probes"] = f"{file}, which {experiment.path} names: there is no such file"
+            self._reasons["probes"] = f"{experiment.path} names {file}, which does not exist"
             return None
         probes: xr.Dataset = experiment.read_probes()
         return probes
 
     @cached_property
     def waves(self) -> xr.DataTree | None:
-        """The wave store next to the cube, lazy, if it belongs to the cube as it is.
+        """The wave store, lazy; None if it does not exist, or if the cube has changed since it was written.
 
         Raises
         ------
         StoreError
-            If it is damaged, or of another cube.
+            If it is damaged, or if it belongs to another cube.
         """
         if not self.waves_path.is_dir():
             self._reasons["waves"] = f"no waves yet: run `wavefield analyze {self.store}`"
@@ -276,7 +280,7 @@ class Run:
         mark = read_mark(self.waves_path)
         if mark is None or mark.source != source_of(self.cube):
             raise StoreError(
-                f"{self.waves_path} are the waves of another cube than {self.store}: move them, and run "
+                f"{self.waves_path} has the waves of another cube than {self.store}: move it, and run "
                 f"`wavefield analyze {self.store}`"
             )
         if waves.attrs.get("cube") != state_of(self.cube):
@@ -288,17 +292,17 @@ class Run:
         return waves
 
     def wave_group(self, name: str) -> xr.Dataset | None:
-        """One group of the waves.
+        """One group of the wave store, loaded.
 
         Parameters
         ----------
         name : str
-            Such as "spectra".
+            Name of the group, such as "spectra".
 
         Returns
         -------
         Dataset or None
-            Loaded; None if there are no waves or they have no such group.
+            The group; None if there is no wave store, or no such group in it.
         """
         if self.waves is None or name not in self.waves.children:
             return None
@@ -306,12 +310,12 @@ class Run:
 
     @cached_property
     def truth(self) -> xr.Dataset | None:
-        """The exact fields of a simulated experiment, lazy."""
+        """Exact fields of a simulated experiment, lazy; None if there are none."""
         file = self.experiment_path or experiment_path(self.store, self.cube.attrs)
         folder = (self.experiment.path if self.experiment else file).parent
         path = self.truth_path or folder / "truth" / "truth.zarr"
         if not path.is_dir():
-            self._reasons["truth"] = "the experiment is not a simulated one, or its truth is not there"
+            self._reasons["truth"] = f"the experiment is not simulated, or its exact fields are not in {path}"
             return None
         import xarray as xr
 
@@ -320,18 +324,19 @@ class Run:
 
     @cached_property
     def pair_statistics(self) -> xr.Dataset | None:
-        """Errors of every pair of cameras on its own: `wavefield.pipeline.assess`."""
+        """Errors of each pair of cameras (`wavefield.pipeline.assess.pair_statistics`); None without them."""
         from wavefield.store.camera_pairs import read_pair_statistics
 
         found = read_pair_statistics(self.store)
         if found is None:
             self._reasons["pair_statistics"] = (
-                "the cube has none: its run has not ended, no sampled step has usable frames of all cameras, "
-                "or it was measured by an earlier version or in a light sheet"
+                "the cube has none, because its run has not ended, no sampled step has usable frames of all "
+                "cameras, or it was measured by an earlier version or in a light sheet"
             )
         return found
 
     def _try(self, name: str, load: Callable[[], T], absent: T) -> T:
+        """The loaded value; on an error, ``absent``, and the message as the reason."""
         try:
             return load()
         except (WavefieldError, OSError) as error:
@@ -346,35 +351,35 @@ def open_run(
     experiment: str | Path | None = None,
     truth: str | Path | None = None,
 ) -> Run:
-    """Open a cube with everything that belongs to it.
+    """Open a cube with its recipe, rig, experiment, images, probes, waves and truth.
 
     Parameters
     ----------
     store : path
-        Cube written by `run`, or a folder that holds one.
+        Cube written by `run`, or a folder that contains one.
     waves : path, optional
-        Its waves; by default where `wavefield analyze` writes them, next to the cube.
+        Store of its waves; by default next to the cube, where `wavefield analyze` writes them.
     experiment : path, optional
-        Its experiment file; by default the file of that name beside the cube, or the one that it was made
-        from, if its images are those of the cube.
+        Experiment file; by default the file of that name next to the cube, or else the original file, if its
+        images are those of the cube.
     truth : path, optional
         Exact fields of a simulated experiment; by default ``truth/truth.zarr`` next to the experiment file.
 
     Returns
     -------
     Run
-        With ``cube``, ``recipe``, ``rig``, ``grid``, ``experiment``, ``frames``, ``probes``,
-        ``waves``, ``truth`` and ``pair_statistics``, each read when it is first used; what is absent is None
-        or empty, and ``run.reason("probes")`` gives the reason.
+        Its attributes ``cube``, ``recipe``, ``rig``, ``grid``, ``experiment``, ``frames``, ``probes``,
+        ``waves``, ``truth`` and ``pair_statistics`` are read when first used. Absent parts are None or empty;
+        ``run.reason("probes")`` explains why.
 
     Raises
     ------
     StoreError
-        If the cube is not there, is not a cube, or is damaged.
+        If the cube does not exist, is not a cube, or is damaged.
 
     Examples
     --------
-    The empty store that a run of ten steps begins with.
+    The store of a run of ten steps, before any step is measured.
 
     >>> import tempfile
     >>> import numpy as np
@@ -391,7 +396,7 @@ def open_run(
     ((3, 4), 'basin')
     """
     store = find_store(store)
-    from wavefield.store.cube import open_cube  # xarray, which a run does not need at its start
+    from wavefield.store.cube import open_cube  # imports xarray, which a run needs only at its end
 
     cube = open_cube(store)
     return Run(

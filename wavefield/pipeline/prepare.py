@@ -1,6 +1,9 @@
-"""Read and check what a run needs before it starts: frames, rig, grid, settings, search ranges.
+"""Read and check frames, rig, grid, settings and search ranges before a run.
 
-Rigs, grids and search ranges that cannot be in metres are refused.
+Rigs, grids and elevations that cannot be in metres are refused. A step is the interval between two
+consecutive frames; a chunk is a range of steps that one task measures. A recipe is everything that determines
+the values of a cube (`wavefield.store.recipe`); a workflow states how a run is computed
+(`wavefield.execution.workflow`).
 """
 
 import hashlib
@@ -37,21 +40,21 @@ from wavefield.variables import CUBE_FIELDS, TABLE
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord, Model, Settings
 
-_CAMERA_DISTANCES = (0.02, 200.0)  # m from the water: a macro lens, and a platform at sea
-_MIN_BLOCKS = 21  # along the longer side of what is matched
-_MAX_ELEVATION_SHARE = 0.5  # of the distance of the nearest camera
-_MAX_THICKNESS_SHARE = 0.05  # of that distance, for beads and light sheets
+_CAMERA_DISTANCES = (0.02, 200.0)  # m from the water: from a macro lens to a platform at sea
+_MIN_BLOCKS = 21  # interrogation blocks along the longer side of the field, for a spectrum
+_MAX_ELEVATION_FRACTION = 0.5  # elevations, as a fraction of the distance of the nearest camera
+_MAX_THICKNESS_FRACTION = 0.05  # beads and light sheets, as a fraction of that distance
 
 
 def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> None:
-    """Refuse cameras at distances that cannot be metres, and cameras under water."""
+    """Refuse cameras at distances that cannot be in metres, and cameras below the water."""
     refuse_own_frame(rig, rig_file)
     distance = float(np.median(_distances(rig)))
     low, high = _CAMERA_DISTANCES
     if not low <= distance <= high:
         raise RigError(
-            f"{rig_file}: its cameras are {distance:.3g} m away from the water; are its lengths in metres? "
-            "`wavefield rig convert FILE --unit UNIT` converts another program's"
+            f"{rig_file}: its cameras are {distance:.3g} m away from the water; lengths must be in metres "
+            "(`wavefield rig convert FILE --unit UNIT` converts the rig file of another program)"
         )
     level = experiment.water.level
     under = [name for name, camera in rig.cameras.items() if camera.centre[2] <= 0 < camera.centre[2] + level]
@@ -62,26 +65,27 @@ def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> 
 
 
 def refuse_own_frame(rig: Rig, rig_file: str) -> None:
-    """Refuse a rig in the frame of one of its cameras, where z = 0 is not the water."""
+    """Refuse a rig in the coordinate system of one of its cameras, whose z = 0 is not the water."""
     if rig.lenses_alone:
         raise RigError(
-            f"{rig_file} contains lenses and no positions of the cameras; two at sea are placed by "
-            "`wavefield rig level EXPERIMENT --distance METRES -o rig.yaml`, with the distance between them"
+            f"{rig_file} contains lenses but no camera positions; for two cameras at sea, "
+            "`wavefield rig level EXPERIMENT --distance METRES -o rig.yaml` finds them from the distance "
+            "between the cameras"
         )
     for name, camera in rig.cameras.items():
         if np.allclose(camera.centre, 0.0, atol=1e-9):
             raise RigError(
-                f"{rig_file} is in the frame of {name} itself, in which z = 0 is not the water; level it "
-                "with `wavefield rig level EXPERIMENT --rig RIG -o rig.yaml`, or by a seeded record at "
-                "rest with `wavefield refine`"
+                f"{rig_file} is in the coordinate system of {name}, in which z = 0 is not the water; level "
+                "it with `wavefield rig level EXPERIMENT --rig RIG -o rig.yaml`, or with a still-water "
+                "record and `wavefield refine`"
             )
 
 
 def expected_coverage(rig: Rig, grid: Grid) -> float:
-    """Share of the grid that every camera sees at rest."""
-    x, y = np.linspace(*grid.x), np.linspace(*grid.y)[:, None]  # enough of the nodes
+    """Fraction of the grid that all cameras see when the water is at rest."""
+    x, y = np.linspace(*grid.x), np.linspace(*grid.y)[:, None]  # 50 x 50 points are enough
     visible = np.ones((y.size, x.size), bool)
-    with np.errstate(all="ignore"):  # a grid in another unit may be anywhere
+    with np.errstate(all="ignore"):  # a grid in another unit may reach behind the cameras
         for name in rig:
             visible &= rig[name].sees(x, y, 0.0)
     return float(visible.mean())
@@ -89,32 +93,32 @@ def expected_coverage(rig: Rig, grid: Grid) -> float:
 
 def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
     """Refuse a grid that the cameras hardly see."""
-    share = expected_coverage(rig, grid)
-    if share >= MIN_COVERAGE:
+    fraction = expected_coverage(rig, grid)
+    if fraction >= MIN_COVERAGE:
         return
     try:
-        seen = common_field(rig.cameras.values())
-        (x0, x1), (y0, y1) = seen.x, seen.y
-        found = f"the cameras see {{x: [{x0:g}, {x1:g}], y: [{y0:g}, {y1:g}]}}; or leave it out"
+        field = common_field(rig.cameras.values())
+        (x0, x1), (y0, y1) = field.x, field.y
+        remedy = f"the cameras see {{x: [{x0:g}, {x1:g}], y: [{y0:g}, {y1:g}]}}; or leave it out"
     except RigError as error:
-        found = f"correct it or the rig: {error}"
+        remedy = f"correct it or the rig: {error}"
     raise ExperimentError(
-        f"{experiment.path}: the cameras have {100 * share:.2g} % of the grid in common view "
+        f"{experiment.path}: the cameras have {100 * fraction:.2g} % of the grid in common view "
         f"(x {grid.x[0]:g} to {grid.x[1]:g} m, y {grid.y[0]:g} to {grid.y[1]:g} m); `grid` is in metres: "
-        f"{found}"
+        f"{remedy}"
     )
 
 
 def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
-    """Refuse elevations that come near the cameras, and beads or sheets too thick to be in metres."""
+    """Refuse elevations near the cameras, and beads or light sheets too thick to be in metres."""
     distance = min(_distances(rig))
-    for name, value, share in (
-        ("z_range", settings.z_range, _MAX_ELEVATION_SHARE),
-        ("bead_height", settings.bead_height, _MAX_THICKNESS_SHARE),
-        ("sheet_thickness", settings.sheet_thickness, _MAX_THICKNESS_SHARE),
+    for name, value, fraction in (
+        ("z_range", settings.z_range, _MAX_ELEVATION_FRACTION),
+        ("bead_height", settings.bead_height, _MAX_THICKNESS_FRACTION),
+        ("sheet_thickness", settings.sheet_thickness, _MAX_THICKNESS_FRACTION),
     ):
         largest = float(np.abs(value or 0.0).max())
-        if largest > share * distance:
+        if largest > fraction * distance:
             raise ExperimentError(
                 f"{source}: settings.{name} of {largest:g} m does not fit below cameras that are "
                 f"{distance:.2g} m away from the water; it is in metres"
@@ -122,19 +126,19 @@ def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
 
 
 def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
-    """Refuse a field with too few blocks of pixels for a spectrum."""
+    """Refuse a field with too few interrogation blocks for a spectrum."""
     shapes = {"the grid": geometry.lattice.shape}
-    shapes |= {f"what {name} sees of the grid": s.lattice.shape for name, s in geometry.sights.items()}
+    shapes |= {f"the part that {name} sees": s.lattice.shape for name, s in geometry.sights.items()}
     for name, (rows, columns) in shapes.items():
         if max(rows, columns) < _MIN_BLOCKS:
             raise ExperimentError(
-                f"{source}: {name} is too small: {columns} x {rows} blocks of pixels are matched, but "
+                f"{source}: {name} is too small: it has {columns} x {rows} interrogation blocks, but "
                 f"{_MIN_BLOCKS} along the longer side are needed; enlarge `grid`, or leave it out"
             )
 
 
 def name_of_rig(experiment: Experiment, rig: str | Path | Rig | None) -> str:
-    """What to call a rig in a message."""
+    """Name of a rig in messages: its file, or "the rig"."""
     if isinstance(rig, Rig):
         return "the rig"
     named = experiment.rig if rig is None else rig
@@ -144,43 +148,43 @@ def name_of_rig(experiment: Experiment, rig: str | Path | Rig | None) -> str:
 
 
 def _distances(rig: Rig) -> list[float]:
-    """Distance of each camera from the water in the middle of its image, metres."""
+    """Distance of each camera from the water at its image centre, or below it if that is sky; metres."""
     distances = []
     for camera in rig.cameras.values():
         x, y = (float(v) for v in camera.unproject(*(0.5 * (n - 1) for n in camera.size)))
-        level = np.isfinite(x + y)  # else the middle of the image is above the horizon
-        below = (x, y, 0.0) if level else (*camera.centre[:2], 0.0)
-        distances.append(float(np.linalg.norm(np.subtract(camera.centre, below))))
+        on_water = np.isfinite(x + y)  # else the image centre is above the horizon
+        point = (x, y, 0.0) if on_water else (*camera.centre[:2], 0.0)
+        distances.append(float(np.linalg.norm(np.subtract(camera.centre, point))))
     return distances
 
 
 # -- the run
 
-SAMPLE_STEPS = 4  # over the record, in which search ranges are found and cameras are compared
-MAX_CHUNK_STEPS = 100  # steps; a chunk costs one to two steps more for its five extra frames
+SAMPLE_STEPS = 4  # steps of the record from which search ranges are found and cameras are compared
+MAX_CHUNK_STEPS = 100  # the five extra frames of a chunk cost as much as one or two steps, so 1 to 2 %
 
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """Everything that a run needs before it starts."""
+    """Inputs of a run, read and checked."""
 
     experiment: Experiment  # The experiment
-    series: Mapping[str, FrameSeries]  # Frames of the cameras that measure
-    rig: Rig  # Those cameras
-    grid: Grid  # The nodes
-    geometry: "GridGeometry"  # What follows from them
-    recipe: Recipe  # All of it as plain data
-    workflow: Workflow  # How to process
-    model: "Model | None" = None  # What was learned of the record
-    # How far the water moves from frame to frame; None where the settings state the range to search
+    series: Mapping[str, FrameSeries]  # Frames of the measuring cameras
+    rig: Rig  # The measuring cameras
+    grid: Grid  # Nodes of the cube
+    geometry: "GridGeometry"  # Blocks, sight lines and search ranges, computed from rig, grid and settings
+    recipe: Recipe  # Everything that determines the values of the cube, as plain data
+    workflow: Workflow  # Cluster, chunks and settings of the run
+    model: "Model | None" = None  # Estimator with the learned record; None before learning
+    # Displacement of the water between frames; None if the settings give the search range
     motion: FirstGuess | None = None
-    # Range of elevations and of the rise; None where the settings state ``z_range``
+    # Range of elevations and of their change between frames; None if the settings give ``z_range``
     heights: FirstHeights | None = None
-    # (n,): of the frames from even times, intervals, by the cameras' clocks; None where these are even
+    # (n,): lateness of the frames relative to even times, in frame intervals; None if times are even
     departures: np.ndarray | None = None
 
     def with_prior(self, record: Mapping[str, object]) -> "PreparedRun":
-        """The same run with the record that was learned from sample frames."""
+        """The same run with a record learned from sample frames."""
         from wavefield.measurement import LearnedRecord, Model
 
         model = Model(self.geometry, LearnedRecord.from_dict(record)) if record else self.model
@@ -188,27 +192,27 @@ class PreparedRun:
 
     @property
     def record(self) -> "LearnedRecord | None":
-        """The record that was learned from sample frames; None before."""
+        """The record learned from sample frames; None before learning."""
         return None if self.model is None else self.model.record
 
     @property
     def steps(self) -> int:
-        """Number of steps of the whole run."""
+        """Number of steps of the record."""
         return len(next(iter(self.series.values()))) - 1
 
     @property
     def first_frame(self) -> int:
-        """Number of the first frame."""
+        """Number of the first frame of the record."""
         return next(iter(self.series.values())).first
 
     @property
     def step_bytes(self) -> int:
-        """Bytes of the results of one step."""
+        """Size of the results of one step in memory, bytes."""
         return int(self.geometry.x.size) * sum(np.dtype(TABLE[name].dtype).itemsize for name in CUBE_FIELDS)
 
     @property
     def chunk_steps(self) -> int:
-        """Steps per chunk of a new store."""
+        """Number of steps per chunk of a new store."""
         workflow = self.workflow
         chunk = workflow.steps_per_block or choose_chunk_steps(
             self.steps, count_workers(workflow), self.step_bytes, workflow.memory_bytes
@@ -221,7 +225,11 @@ def prepare(
     rig: str | Path | Rig | None = None,
     workflow: str | Path | Workflow | None = None,
 ) -> PreparedRun:
-    """Read and check everything that a run needs."""
+    """Read and check the inputs of a run.
+
+    ``rig`` is used instead of the rig that the experiment names. Raises ExperimentError or RigError if a file
+    is missing or wrong, or if rig, grid or elevations cannot be in metres.
+    """
     from wavefield.measurement import GridGeometry
     from wavefield.measurement.stabilize import refuse_unless_in_a_row
 
@@ -236,7 +244,7 @@ def prepare(
     settings = make_settings(experiment, workflow)
     try:
         grid = experiment.choose_grid(rig, {**experiment.settings, **workflow.settings})
-    except ValueError as error:  # a step that does not fit what the cameras see
+    except ValueError as error:  # the node spacing is too large for the field of the cameras
         raise ExperimentError(f"{experiment.path}: {error}") from None
     refuse_unseen_grids(experiment, rig, grid)
     refuse_high_water(
@@ -268,24 +276,24 @@ def prepare(
 
 
 def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
-    """Whether the settings give the range of displacements to search."""
-    stated = (source.settings.get("piv") for source in (experiment, workflow))
-    return any(isinstance(piv, Mapping) and {"search_x", "search_y"} & set(piv) for piv in stated)
+    """Whether the settings give the search range of displacements."""
+    given = (source.settings.get("piv") for source in (experiment, workflow))
+    return any(isinstance(piv, Mapping) and {"search_x", "search_y"} & set(piv) for piv in given)
 
 
 class _SampleImages:
-    """Images of sample steps, filtered as they are for matching."""
+    """Images of sample steps, filtered as for matching."""
 
     def __init__(self, series: Mapping[str, FrameSeries], geometry: "GridGeometry") -> None:
         self.series, self.geometry = series, geometry
         count = min(len(series[name]) for name in geometry.cameras) - 1
         self.steps = evenly_spaced(count, SAMPLE_STEPS)
-        self._widths: dict[str, float] = {}  # of the beads, measured in the first image of a camera
-        # images of the sample steps: both motion and elevation are found in them
+        self._widths: dict[str, float] = {}  # width of beads, px, measured in each camera's first image
+        # images of the sample steps, which the estimates of motion and elevation share
         self._shared: dict[tuple[str, int], np.ndarray | None] = {}
 
     def read(self, name: str, frame: int) -> np.ndarray | None:
-        """Image of a camera; None where there is none that can be used."""
+        """Filtered image of a camera; None if it is missing or bad."""
         if frame not in self.steps:
             return self._read(name, frame)
         if (name, frame) not in self._shared:
@@ -306,7 +314,7 @@ class _SampleImages:
 def load_files(
     experiment: str | Path | Experiment, workflow: str | Path | Workflow | None
 ) -> tuple[Experiment, Workflow]:
-    """Read the experiment and workflow files, unless they are read already."""
+    """The experiment and the workflow, read from their files unless they are given as objects."""
     if not isinstance(experiment, Experiment):
         experiment = Experiment.load(experiment)
     if not isinstance(workflow, Workflow):
@@ -317,7 +325,7 @@ def load_files(
 def make_recipe(
     experiment: Experiment, series: Mapping[str, FrameSeries], geometry: "GridGeometry", packing: str
 ) -> Recipe:
-    """Collect the recipe of a run."""
+    """The recipe of a run: everything that determines the values of the cube."""
     one = next(iter(series.values()))
     return Recipe(
         experiment=experiment.name,
@@ -338,7 +346,7 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
     """Measurement settings: defaults, then those of the experiment, then those of the workflow."""
     from wavefield.measurement.settings import Settings
 
-    for source in (experiment, workflow):  # each by itself: only then is the place of an error known
+    for source in (experiment, workflow):  # checked one by one, so that errors name the right file
         Settings.from_dict(source.settings, source.path)
     data: dict[str, Any] = {}
     if experiment.surface:
@@ -355,9 +363,12 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
 
 
 def choose_chunk_steps(steps: int, workers: int, step_bytes: int, memory: int | None) -> int:
-    """Steps per chunk: long enough that its five extra frames do not matter, short enough for memory."""
-    # results, their stack and their compressed copy are there at once; half the memory is for the measurement
-    room = int((memory or 1_500_000_000) // 2 // (4 * step_bytes))
-    longest = max(1, min(MAX_CHUNK_STEPS, room))
+    """Steps per chunk: at most `MAX_CHUNK_STEPS`, few enough for memory, and shared evenly by the workers.
+
+    ``step_bytes`` is the size of the results of a step, ``memory`` that of a worker, bytes.
+    """
+    # half of the memory is for the results: as measured, stacked and compressed, with some reserve
+    fitting = int((memory or 1_500_000_000) // 2 // (4 * step_bytes))
+    longest = max(1, min(MAX_CHUNK_STEPS, fitting))
     rounds = -(-steps // (workers * longest))
     return max(1, min(longest, -(-steps // (workers * rounds))))

@@ -1,7 +1,9 @@
-"""Process a whole experiment into a store, chunk by chunk, in one process or many.
+"""Process an experiment into a store, chunk by chunk, in one process or many.
 
-Whatever stops a run (Ctrl-C, a time limit, a dead scheduler, a full disk), the same command resumes from the
-ledger: only chunks that are not marked done are measured.
+A step is the interval between two consecutive frames; a chunk is a range of steps that one task measures and
+writes. The ledger is the status of each step in the store (`wavefield.store.ledger`). After an interruption
+(Ctrl-C, time limit, failed scheduler, full disk) the same command resumes: it measures only the chunks that
+the ledger does not mark as done. A recipe is everything that determines the values of a cube.
 """
 
 import json
@@ -44,9 +46,9 @@ log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
 MapFunction = Callable[[Work, Sequence[Chunk]], Generator[tuple[Chunk, Any]]]
 
-MEASURING = ("wavefield.measurement.step", "wavefield.pipeline.chunk")  # what workers import ahead
-ASSESSING = "assessing the cube"  # the last stage of a run
-_ENOUGH_FAILURES = 3  # chunks that fail before any succeeds: something is wrong with all of them
+MEASURING = ("wavefield.measurement.step", "wavefield.pipeline.chunk")  # modules that workers import at start
+ASSESSING = "assessing the cube"  # message of the last stage of a run
+_ENOUGH_FAILURES = 3  # a run stops if so many chunks fail before any succeeds: all would fail
 
 
 def run(
@@ -57,49 +59,50 @@ def run(
     workflow: str | Path | Workflow | None = None,
     progress: ProgressFunction | None = None,
 ) -> Status:
-    """Process an experiment into a cube; goes on where an earlier run stopped.
+    """Process an experiment into a cube, or resume an earlier run of the same recipe.
 
     Parameters
     ----------
     experiment : path or Experiment
-        The experiment. `wavefield.pipeline.catalog.run_catalog` processes those of a catalog.
+        Experiment file, or the experiment. `wavefield.pipeline.catalog.run_catalog` processes catalogs.
     out : path, optional
-        The store; by default ``cube.zarr`` next to the experiment file.
+        Store of the cube; by default ``cube.zarr`` next to the experiment file.
     rig : path or Rig, optional
-        In place of the one that the experiment names.
+        Used instead of the rig that the experiment names.
     workflow : path or Workflow, optional
-        Cluster and recipe; by default the processes of this machine.
+        Cluster and settings; by default the processes of this machine.
     progress : callable, optional
-        Called with steps done, steps of the whole run, and a sentence.
+        Called with the number of steps done, the number of all steps, and a sentence.
 
     Returns
     -------
     Status
+        Number of steps done, failed and left, and the verdict on the cube.
 
     Raises
     ------
     ExperimentError, RigError
-        If something is missing or wrong, before anything is written.
+        If a file is missing or wrong; nothing has been written then.
     StoreError
-        If the store was made with another recipe, cannot be written, or another run is writing it.
+        If the store has another recipe, cannot be written, or is being written by another run.
     RunStopped
-        If it was interrupted.
+        If the run was interrupted.
 
     Notes
     -----
-    Results do not depend on the workflow: neither on the number of workers nor on the size of chunks.
+    Results do not depend on the number of workers or the size of chunks.
 
-    A store goes on with the recipe that it was begun with: settings, rig, grid, names of images, and the
-    version of the measurement. Its labels may change: name, description, water; they are written into the
-    cube, and nothing is measured again. Other images under the same names are refused if some frames (first,
-    middle, last) show it.
+    A run resumes only with the recipe of its store: settings, rig, grid, names of images, and the version of
+    the algorithm. Labels (name, description, water) may change: they are updated in the cube, and nothing is
+    measured again. Changed images under the same names are refused if the first, middle or last frame of a
+    camera differs.
 
-    Worker processes start by importing the program that started them: in a script, call this below
+    Worker processes import the program that started them: in a script, call this below
     ``if __name__ == "__main__":``.
 
     Examples
     --------
-    Two steps of a small simulated tank, in this process; the same call would go on where it stopped.
+    Two steps of a small simulated tank, in this process. After an interruption the same call would resume.
 
     >>> import tempfile
     >>> from wavefield.images import write_image
@@ -125,9 +128,9 @@ def run(
     with ExitStack() as stack:
         lock = stack.enter_context(Lock.hold(path.absolute()))
         if path.exists():
-            open_group(path)  # refuses at once what is not a cube
+            open_group(path)  # refuses a folder that is not a cube
         check_verdict(path)
-        with deferred_signals():  # Ctrl-C inside an import may be lost
+        with deferred_signals():  # Ctrl-C during an import may be lost
             map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), MEASURING))
             prepared = prepare(experiment, rig, workflow)
             refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
@@ -140,7 +143,10 @@ def process(
     map_unordered: MapFunction,
     progress: ProgressFunction | None = None,
 ) -> Status:
-    """Create the store or go on with it, until every chunk is done."""
+    """Create the store or resume it, measure all chunks that are left, and assess the cube.
+
+    ``lock`` holds the store; ``map_unordered`` runs tasks on the workers and yields each with its result.
+    """
     path = lock.store
     with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
         try:
@@ -160,7 +166,7 @@ def process(
             raise RunStopped(
                 f"{stopped_by(stop)}{_how_far(path)}; nothing is lost, and the same command resumes"
             ) from None
-    with deferred_signals():  # what only the end needs comes when the rest is done
+    with deferred_signals():  # slow imports, which only the end of a run needs
         from wavefield.pipeline.assess import assess_run, check_record, store_pair_statistics
     found = status(path)
     ratios = check_record(prepared, found)
@@ -179,6 +185,7 @@ def process(
 
 
 def _how_far(path: Path) -> str:
+    """How many steps are done, for the message of a stopped run."""
     if not path.exists():
         return " before it began"
     now = status(path)
@@ -186,6 +193,7 @@ def _how_far(path: Path) -> str:
 
 
 def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, StoreLayout]:
+    """Check and open a store, or learn the record and create one; returns the run with its record."""
     if path.exists():
         group = open_group(path)
         check_recipe(path, group.attrs, prepared.recipe)
@@ -193,9 +201,9 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
         remove_partial_files(path)
         prepared = prepared.with_prior(json.loads(str(group.attrs["recipe"]))["record"])
         for change in relabel(path, prepared.experiment.name, labels(prepared.experiment, path)):
-            log.info("labelled anew, nothing is measured again: %s", change)
+            log.info("label changed, nothing is measured again: %s", change)
         return prepared, read_layout(open_group(path))
-    log.info("learning beads, spectra and noise from sample frames")
+    log.info("learning bead widths, spectra and noise from sample frames")
     threads = threads_here(prepared.workflow)
     learned = learn_record(
         prepared.series, prepared.steps, prepared.geometry, prepared.experiment.frame_rate, threads
@@ -218,12 +226,15 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
 
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
-    """Chunks (start, stop) to measure: not done, missing, or with bad frames that can be used now."""
+    """Chunks (start, stop) to measure: not done, without files, or with bad frames that are readable now.
+
+    Marks chunks that were done before as not done.
+    """
     from wavefield.measurement.images import usable
 
     missing = missing_chunks(path, layout)
     if missing:
-        log.warning("files of %d chunks are missing: measuring them again", len(missing))
+        log.warning("files of %d chunks are missing; they are measured again", len(missing))
         reset_chunks(path, missing)
     group = open_group(path)
     ledger = np.asarray(group["frame_status"][:])
@@ -241,7 +252,7 @@ def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries
             again.append(start)
             todo.append((start, stop))
     if again:
-        log.info("frames that were bad can be read now: measuring %d chunks again", len(again))
+        log.info("frames that were bad are readable now; %d chunks are measured again", len(again))
         reset_chunks(path, again)
     return todo
 
@@ -249,12 +260,13 @@ def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries
 def _work_off(
     prepared: PreparedRun, lock: Lock, todo: Sequence[Chunk], map_unordered: MapFunction, tracker: "_Tracker"
 ) -> None:
+    """Measure chunks on the workers; raises StoreError after the last one if some failed."""
     path = lock.store
     work = Work(path, prepared.geometry, prepared.model, prepared.experiment.frame_rate)
     failures: list[tuple[Chunk, BaseException]] = []
     succeeded = 0
     tracker.start()
-    # closed here and now: what is not done yet is called off before anything else
+    # on an error, closing cancels the tasks that are left before anything else happens
     with closing(map_unordered(work, todo)) as results:
         for chunk, result in results:
             if isinstance(result, WavefieldError):
@@ -279,18 +291,18 @@ def _work_off(
 
 
 class _Tracker:
-    """Counts steps, and reports the progress to the log and to the user."""
+    """Counts steps and reports progress to the log and to the user."""
 
     def __init__(self, total: int, done: int, progress: ProgressFunction | None) -> None:
         self.total, self.done, self._progress = total, done, progress
         self._since, self._before, self._logged = time.monotonic(), done, 0.0
 
     def start(self) -> None:
-        """Measure the time per step from now on."""
+        """Start the clock from which the time per step is estimated."""
         self._since = time.monotonic()
 
     def add(self, steps: int) -> None:
-        """Count steps that were measured."""
+        """Add measured steps, and report the time left."""
         self.done += steps
         now = time.monotonic()
         left = (now - self._since) / (self.done - self._before) * (self.total - self.done)

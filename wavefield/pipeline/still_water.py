@@ -1,4 +1,4 @@
-"""A still-water record: it corrects the rig, and gives the height of the beads above the water."""
+"""Correct and level a rig with a record of still, seeded water."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from wavefield.series import Experiment
 if TYPE_CHECKING:
     from wavefield.calibration.still_water import RigCheck
 
-FRAMES = 10  # of the record at rest that are matched
+FRAMES = 10  # frames of the still-water record that are matched
 
 
 def level_at_rest(
@@ -24,7 +24,12 @@ def level_at_rest(
     frames: int = FRAMES,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Rig, RigCheck, WaterPlane]:
-    """Correct and level a rig with a record of still, seeded water."""
+    """Correct and level a rig with a record of still, seeded water.
+
+    Returns the corrected rig with z = 0 at the water, a check of whether its sight lines met before, and the
+    plane of the water before levelling. ``experiment`` is that of the still-water record; so many of its
+    ``frames`` are matched; ``progress`` is called with the number of frames done and the number of all.
+    """
     from wavefield.calibration.still_water import refine_and_level
     from wavefield.measurement.pair import matched_pixels
 
@@ -40,7 +45,7 @@ def level_at_rest(
 
 
 def plane_sentence(plane: WaterPlane) -> str:
-    """Where the water was, for a person."""
+    """Height, slope and scatter of the water's plane in words."""
     return (
         f"The water's plane: {1e3 * plane.height:+.3f} mm at the origin, slope {1e3 * plane.slope[0]:+.3f}, "
         f"{1e3 * plane.slope[1]:+.3f} mrad along x, y; rms about it {1e3 * plane.rms:.3f} mm."
