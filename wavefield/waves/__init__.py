@@ -1,7 +1,8 @@
-"""From cubes to spectra, nonlinear term and coherence: estimators with confidence intervals.
+"""Wave spectra, the nonlinear term and coherence of a cube, with confidence intervals.
 
-Input is a cube z, z_t, u, v, w (time, y, x), metres and seconds. Functions take and give labelled xarray
-objects; lazy input gives lazy results, reduced in one pass over Welch segments.
+A cube holds the elevation z, its rate of rise z_t and the velocity u, v, w over (time, y, x), in metres and
+seconds. The functions take and return labelled xarray objects. They read cubes on disk in pieces, so memory
+stays bounded however long the record is.
 """
 
 from wavefield.lazy_names import lazy_names

@@ -1,4 +1,4 @@
-"""``cube.waves``: the estimators as methods of a cube."""
+"""The xarray accessor ``cube.waves``: the wave estimators as methods of a cube."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,17 +10,17 @@ from wavefield import waves
 
 @xr.register_dataset_accessor("waves")
 class WavesAccessor:
-    """The estimators of `wavefield` for one cube, as ``cube.waves``.
+    """Wave estimators of one cube, available as ``cube.waves``.
 
     Parameters
     ----------
     cube : Dataset
-        z, z_t, u, v, w over (time, y, x), m and m/s, of `wavefield.open_cube` or `wavefield.cube`.
+        z, z_t, u, v, w over (time, y, x), m and m/s, from `wavefield.open_cube` or `wavefield.cube`.
 
     Notes
     -----
-    Every method takes the further keywords of the function of the same name; those of one field take its name
-    first.
+    Every method calls the function of the same name and accepts its keywords. Methods that analyse a single
+    field, such as ``cube.waves.spectrum("w")``, take the name of the field first.
 
     Examples
     --------
@@ -37,21 +37,25 @@ class WavesAccessor:
 
 
 def _method(name: str, field: str | None) -> Callable[..., Any]:
-    """The estimator of that name as a method: of a field, which comes first, or of the cube."""
+    """Return a method that calls an estimator with the cube, or with one of its fields (default: `field`)."""
 
-    def of_cube(self: WavesAccessor, *args: Any, **options: Any) -> Any:
+    def call_with_cube(self: WavesAccessor, *args: Any, **options: Any) -> Any:
         return getattr(waves, name)(self._cube, *args, **options)
 
-    def of_field(self: WavesAccessor, field: str | None = field, **options: Any) -> Any:
+    def call_with_field(self: WavesAccessor, field: str | None = field, **options: Any) -> Any:
         return getattr(waves, name)(self._cube[field], **options)
 
-    method = of_field if field else of_cube
+    method = call_with_field if field else call_with_cube
     method.__name__ = name
-    method.__doc__ = f"As `wavefield.{name}` of {'a field' if field else 'the cube'} returns it."
+    method.__doc__ = f"Result of `wavefield.{name}` for {'a field of the cube' if field else 'the cube'}."
     return method
 
 
-_FIELDS = {"spectrum": "w", "komega": "w", "structure_functions": "z"}  # of one field: the default
+_FIELDS = {
+    "spectrum": "w",
+    "komega": "w",
+    "structure_functions": "z",
+}  # estimators of one field, with the default field
 _CUBE = "fit_dispersion directions kinematics coherence statistics crest_statistics phase_average analyze"
 for _name in (*_FIELDS, *_CUBE.split()):
     setattr(WavesAccessor, _name, _method(_name, _FIELDS.get(_name)))

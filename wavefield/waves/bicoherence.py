@@ -1,6 +1,6 @@
-"""Bicoherence and tricoherence: which waves are bound or exchange energy in threes and fours.
+"""Bicoherence and tricoherence of time series: phase coupling of three and of four waves.
 
-Kernels take Fourier lines Z (frequencies, samples), samples being segments times points.
+Z is an array (lines, samples) of Fourier coefficients at n frequencies. A sample is one segment at one point.
 """
 
 import numpy as np
@@ -13,11 +13,13 @@ from wavefield.waves.cross import significance_level
 from wavefield.waves.products import Noted, WaveProduct, register
 from wavefield.waves.welch import CHANCE, LEAST_COUNT, MAIN_LOBE, Welch, hann, segment_count
 
-SHARED = 0.1  # of the correlation by chance: pairs whose lines share more are no test of coupling
+# chosen: pairs of lines that are correlated by more than this fraction of the correlation by chance are left
+# out, because leakage correlates them without coupling
+SHARED = 0.1
 
 
 def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
-    """Fourier lines of time series (time, points), (count, segments * points): Hann windows, mean removed."""
+    """First Fourier coefficients of time series (time, points), (count, segments * points), Hann window."""
     half = segment // 2
     window = hann(segment).astype(series.dtype)[:, None]
     out = []
@@ -28,8 +30,8 @@ def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
 
 
 def bicoherence_of(z: np.ndarray) -> np.ndarray:
-    """Bicoherence |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>) of lines (n, samples), (n, n).
-    Z3 is the line at the sum of the frequencies of Z1 and Z2.
+    """Bicoherence |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>) of Z1 and Z2, (n, n), from z (n, samples).
+    The frequency of Z3 is the sum of those of Z1 and Z2.
     """
     n = z.shape[0]
     out = np.full((n, n), np.nan)
@@ -44,21 +46,21 @@ def bicoherence_of(z: np.ndarray) -> np.ndarray:
 
 
 def correlations_of(z: np.ndarray) -> np.ndarray:
-    """Squared correlation |<Z1 Z2*>|^2 / (<|Z1|^2> <|Z2|^2>) of lines (n, samples), (n, n)."""
+    """Squared correlation |<Z1 Z2*>|^2 / (<|Z1|^2> <|Z2|^2>) of any two lines, (n, n), of z (n, samples)."""
     gram = np.abs(z @ z.conj().T) ** 2
     power = np.maximum(gram.diagonal(), 1e-300)
     return np.asarray(gram / np.sqrt(power[:, None] * power))
 
 
 def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarray:
-    """Largest tricoherence of each pair of lines with any other pair of the same sum, (n, n).
-    Pairs of nearly the same lines are left out: ``shared`` (n, n) is the correlation of every two lines,
-    ``limit`` the largest sum of its products.
+    """Largest tricoherence |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3 Z4|^2>) over Z3 and Z4, (n, n).
+    Z3 and Z4 have the same sum of frequencies as Z1 and Z2. Pairs of correlated lines are left out:
+    ``shared`` (n, n) is the correlation of any two lines, ``limit`` the largest accepted sum of its products.
     """
     n = z.shape[0]
     (herk,) = linalg.get_blas_funcs(("herk",), (z,))
     value = np.full((n, n), np.nan)
-    # pairs with the same sum s share one matrix product: A_s A_s^H over the pairs of s
+    # one matrix product A A^H for all pairs with the sum s
     for s in range(2, 2 * n - 1):
         first = np.arange(max(1, s - n + 1), s // 2 + 1)
         second = s - first
@@ -68,7 +70,7 @@ def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarr
         upper = np.abs(herk(1.0, products.T, trans=2))  # half of the work of a matrix product
         norm = np.sqrt(np.maximum(upper.diagonal(), 1e-300))
         coherence = np.maximum(upper, upper.T) / (norm[:, None] * norm)
-        # first <= second and third <= fourth: trivial where the pairs nearly coincide
+        # pairs of nearly the same lines are coherent without any coupling
         trivial = np.abs(first[:, None] - first) <= MAIN_LOBE
         trivial |= (
             shared[np.ix_(first, first)] * shared[np.ix_(second, second)]
@@ -81,35 +83,35 @@ def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarr
 
 
 def shuffle_phases(z: np.ndarray, points: int, rng: np.random.Generator) -> np.ndarray:
-    """Surrogate of lines (n, segments * points): a random phase for each line and segment, at all points."""
+    """Multiply each line by a random phase per segment, the same at all points, (n, segments * points)."""
     n, samples = z.shape
     phase = np.exp(2j * np.pi * rng.random((n, samples // points))).astype(z.dtype)
     return np.asarray(z * np.repeat(phase, points, axis=1))
 
 
-HIGHEST_HZ = 5.0  # waves of 6 cm: shorter ones are mostly noise
-LINES = 48  # Fourier lines at most, as the work grows with their cube: the segment is shortened to that
-SURROGATES = 12  # their mean and scale, widened as Student's distribution is, give levels of 5 % chance
-SAMPLES = 4000  # segments times points at most: of more points every second, third ... is taken
+HIGHEST_HZ = 5.0  # waves of 6 cm; shorter ones are mostly noise
+LINES = 48  # largest number of lines, as the cost grows with its cube; segments are shortened to it
+SURROGATES = 12  # enough for the mean and scale of a distribution, if Student's t widens the level
+SAMPLES = 4000  # largest number of segments times points, for the cost; further points are left out
 
 
 def _level_of_one(surrogates: list[np.ndarray]) -> np.ndarray:
-    """Level of a coherence whose square without coupling has the mean 1 / N (`significance_level`)."""
+    """Coherence that surrogates exceed in 5 % of cases; the mean of their squares is 1 / N."""
     mean = np.mean(np.square(surrogates), axis=0)
     return np.asarray(np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9))))
 
 
 def _level_of_largest(surrogates: list[np.ndarray]) -> np.ndarray:
-    """Level of the largest of many coherences, which follows Gumbel's distribution."""
+    """Value that the largest of many coherences exceeds in 5 % of cases, by Gumbel's distribution."""
     quantile, count = -np.log(-np.log(1 - CHANCE)), len(surrogates)
-    # mean and scale of few surrogates are uncertain: wider as Student's distribution is
+    # Student's t instead of a normal quantile, because mean and scale are of few surrogates
     wider = special.stdtrit(count - 1, 1 - CHANCE) / special.ndtri(1 - CHANCE) * np.sqrt(1 + 1 / count)
     scale = np.std(surrogates, axis=0, ddof=1) * np.sqrt(6) / np.pi * wider
     return np.asarray(np.minimum(np.mean(surrogates, axis=0) + (quantile - np.euler_gamma) * scale, 1.0))
 
 
 def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
-    """Bicoherence and tricoherence of time series at some points, with their significance.
+    """Bicoherence and tricoherence of time series at some points, with their 5 % significance levels.
 
     Parameters
     ----------
@@ -118,24 +120,37 @@ def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
     dt : float
         Time step, s.
     segment : int
-        Steps of a segment.
+        Steps of a Welch segment; shortened where it resolves more than 48 frequencies below 5 Hz.
 
     Returns
     -------
     Dataset
-        ``bicoherence``, ``bicoherence_level``, ``tricoherence``, ``tricoherence_level`` (omega1, omega2);
-        ``bicoherence_samples``, number of segments times points.
+        Over (omega1, omega2), rad/s:
+        ``bicoherence``, ``bicoherence_level``, ``tricoherence``, ``tricoherence_level``;
+        ``bicoherence_samples``, the number of segments times points.
 
     Raises
     ------
     CubeError
-        If there are fewer than two segments: every phase would then appear coupled.
+        If there are fewer than two segments, of which all phases would appear coupled.
 
     Notes
     -----
-    Level: what phase-randomised surrogates exceed in 5 % of cases, at each pair of frequencies. The
-    surrogates keep the correlation in space, which makes the number of independent samples less than segments
-    times points.
+    Bicoherence is |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>) with omega3 = omega1 + omega2. Tricoherence is
+    the largest |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3 Z4|^2>) over omega3, with omega3 + omega4 = omega1 +
+    omega2. Phase-randomised surrogates exceed the levels in 5 % of cases. They keep the correlation between
+    points, which lowers the number of independent samples.
+
+    Examples
+    --------
+    A wave with a bound second harmonic, at 1 and 2 Hz, in noise.
+
+    >>> rng = np.random.default_rng(0)
+    >>> phase = 2 * np.pi * np.arange(4000) * 0.05 + np.cumsum(0.1 * rng.standard_normal(4000))
+    >>> series = np.cos(phase) + 0.2 * np.cos(2 * phase) + 0.1 * rng.standard_normal(4000)
+    >>> found = higher_order(series[:, None], 0.05, 100).sel(omega1=6.28, omega2=6.28, method="nearest")
+    >>> bool(found.bicoherence > found.bicoherence_level)
+    True
     """
     count = min(segment // 2 + 1, int(HIGHEST_HZ * segment * dt) + 1)
     if count > LINES:
@@ -149,7 +164,7 @@ def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
     rng = np.random.default_rng(0)
     surrogates = [shuffle_phases(z, series.shape[1], rng) for _ in range(SURROGATES)]
     bi = [bicoherence_of(surrogate) for surrogate in surrogates]
-    # lines beyond the ends of a sea hold what the window spreads of the same strong waves
+    # beyond the ends of a sea, all lines contain leakage of the same strong waves, and are correlated
     chance = np.mean([correlations_of(surrogate) for surrogate in surrogates], axis=0)
     shared = np.sqrt(np.maximum(correlations_of(z) - 2 * chance, 0.0))
     limit = SHARED * np.sqrt(chance[np.triu_indices(count, 1)].mean())
@@ -171,6 +186,7 @@ def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
 
 
 def _group(series: np.ndarray, welch: Welch) -> xr.Dataset | Noted:
+    """Group `higher_order` of an analysis."""
     if welch.count < LEAST_COUNT:
         return Noted(None, ["Bicoherence and tricoherence were left out: they need four segments at least."])
     return higher_order(series, welch.record.dt, welch.segment)

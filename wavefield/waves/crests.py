@@ -1,4 +1,4 @@
-"""Heights of crests and troughs compared with Rayleigh and Tayfun, and errors of moments by bootstrap."""
+"""Distributions of crest and trough heights, and moments of the elevation with bootstrap uncertainties."""
 
 from typing import Any
 
@@ -14,16 +14,16 @@ from wavefield.waves.welch import Reader
 
 Array = NDArray[Any]
 
-POINT_DISTANCE = 0.08  # m between points of series in time: a quarter of a wave of 2.2 Hz
-PERIODS_IN_BLOCK = 10.0  # mean periods: blocks are nearly independent
-MIN_BLOCKS = 8  # fewer give standard deviations that are themselves uncertain by more than a quarter
-BOOTSTRAP_DRAWS = 500  # of which a standard deviation has a chance error of 3 %
-LEVELS = np.arange(0.0, 5.01, 0.25)  # standard deviations: one wave of a quarter of a million reaches 5
+POINT_DISTANCE = 0.08  # m between the points of time series: a quarter wavelength at 2.2 Hz
+PERIODS_IN_BLOCK = 10.0  # chosen: mean periods in a block, so that blocks are nearly independent
+MIN_BLOCKS = 8  # a standard deviation from eight blocks is uncertain by a quarter
+BOOTSTRAP_DRAWS = 500  # a standard deviation from 500 draws is uncertain by 3 %
+LEVELS = np.arange(0.0, 5.01, 0.25)  # in standard deviations; one wave in 270,000 exceeds 5
 
 
 def extremes(series: Array) -> tuple[Array, Array, Array]:
-    """Crests and troughs of a series (time,) between zero up-crossings: step before each, crest, trough.
-    Each (waves,); troughs are positive downwards. A parabola through three steps refines both.
+    """Start, crest height and trough depth of each wave between zero up-crossings of a series (time,).
+    Each (waves,); depths are positive. A parabola through three steps refines heights and depths.
     """
     start = np.flatnonzero((series[:-1] < 0) & (series[1:] >= 0))
     if start.size < 2:
@@ -41,7 +41,7 @@ def extremes(series: Array) -> tuple[Array, Array, Array]:
 
 
 def _series(field: xr.DataArray, record: Record) -> list[Array]:
-    """Elevations (time, points) of each run, at points so far apart that they are nearly independent."""
+    """Elevations (time, points) of each run, at points 8 cm apart."""
     read = Reader([field], record)
     apart_y, apart_x = (max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx))
     runs = []
@@ -55,8 +55,8 @@ def _series(field: xr.DataArray, record: Record) -> list[Array]:
 
 
 def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array, Array]:
-    """Sums of the powers 0 to 4 in blocks of time, (blocks, 5), and counts of higher crests and troughs.
-    The counts are (blocks, levels).
+    """Sums of the powers 0 to 4 of the elevation in each block of steps, (blocks, 5); numbers of crests and
+    of troughs above each level, (blocks, levels).
     """
     sums, above = [], []
     for run in runs:
@@ -76,7 +76,7 @@ def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array
 
 
 def _moments(sums: Array) -> Array:
-    """Significant height, skewness and excess kurtosis, (..., 3), from sums of powers (..., 5)."""
+    """Significant height, skewness and excess kurtosis, (..., 3), from sums of powers 0 to 4, (..., 5)."""
     mean, m2, m3, m4 = (sums[..., p] / sums[..., 0] for p in (1, 2, 3, 4))
     variance = m2 - mean**2
     third = m3 - 3 * mean * m2 + 2 * mean**3
@@ -85,8 +85,8 @@ def _moments(sums: Array) -> Array:
 
 
 def tayfun(level: Array, skewness: float) -> Array:
-    """Probability that a crest of a second-order sea exceeds a level (Tayfun 1980).
-    exp(-(sqrt(1 + 2 m x) - 1)^2 / 2 m^2), with m a third of the skewness: x = r + m r^2 / 2 for a Rayleigh r.
+    """Probability that a crest of a second-order sea exceeds a level in standard deviations (Tayfun 1980).
+    It is exp(-(sqrt(1 + 2 m x) - 1)^2 / 2 m^2) for level x, with m a third of the skewness.
     """
     steepness = max(float(skewness), 0.0) / 3
     level = np.asarray(level, float)
@@ -97,36 +97,38 @@ def tayfun(level: Array, skewness: float) -> Array:
 
 @takes(a_cube)
 def crest_statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
-    """Distributions of crests and troughs, and Hs, skewness and kurtosis with their errors.
+    """Distributions of crest and trough heights; Hs, skewness and kurtosis with standard uncertainties.
 
     Parameters
     ----------
     cube : Dataset
-        With z over (time, y, x), m. Read once, in pieces; computed at once.
+        With z over (time, y, x), m. A cube on disk is read in pieces.
     record : Record, optional
-        Rectangle and runs; found from the cube if not given.
+        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
 
     Returns
     -------
     Dataset
-        ``significant_height`` (m), ``skewness``, ``kurtosis`` (excess) and their ``_std``; ``mean_period``
-        (s) between zero up-crossings; ``waves``, their number; over ``level`` (standard deviations)
-        ``crest_exceedance``, ``trough_exceedance`` and their ``_std``, ``rayleigh``, ``tayfun``. Attribute
-        ``blocks``.
+        ``significant_height`` (m), ``skewness``, ``kurtosis`` (excess) and their standard uncertainties
+        ``_std``; ``mean_period`` (s) between zero up-crossings; ``waves``, the number of waves. Over
+        ``level``, in standard deviations of z: ``crest_exceedance`` and ``trough_exceedance``, the fractions
+        that exceed the level, with their ``_std``; ``rayleigh`` and ``tayfun``, the theories. Attribute
+        ``blocks``, the number of blocks in the bootstrap.
 
     Raises
     ------
     CubeError
-        If the cube has no z, or the record holds fewer than eight blocks of ten mean periods.
+        If the cube has no z, or the record contains fewer than eight blocks of ten mean periods.
 
     Notes
     -----
-    At points 8 cm apart, about each one's mean over time. Uncertainties: bootstrap of blocks of ten mean
-    periods with all points in them, 500 draws; points in a field do not count as independent.
+    Elevations are taken at points 8 cm apart and refer to each point's mean in time. The uncertainties are
+    from a bootstrap with 500 draws over blocks of ten mean periods. A block contains all points, so
+    neighbouring points do not count as independent. Tayfun: J. Geophys. Res. 85 (1980) 1548.
 
     Examples
     --------
-    Sixty waves of 1 cm amplitude: the significant height is four times their standard deviation.
+    Sixty waves of 1 cm amplitude. The significant height is four standard deviations of z.
 
     >>> t, omega = np.arange(1200) * 0.1, np.linspace(6, 9, 60)
     >>> phase = np.random.default_rng(0).uniform(0, 2 * np.pi, 60)

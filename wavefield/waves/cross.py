@@ -44,7 +44,7 @@ from wavefield.waves.welch import (
 
 Array = NDArray[Any]
 
-# fields of the cube that each spectral name is made of
+# fields of the cube from which each quantity is computed; nl is (u - U) . grad z, rise is z_t + U . grad z
 SOURCES = {
     "z": ("z",),
     "z_t": ("z_t",),
@@ -59,21 +59,21 @@ NAMES = tuple(SOURCES)
 
 @dataclass(frozen=True)
 class Requested:
-    """The fields and pairs of fields whose power and cross spectra are summed."""
+    """Quantities and pairs of them whose power and cross spectra are summed over segments."""
 
     names: Sequence[str]
     pairs: Sequence[tuple[str, str]] = ()
-    planes: Sequence[str] = ()  # fields, or pairs "a*b", that are summed without averaging over angle as well
+    planes: Sequence[str] = ()  # quantities, or pairs "a*b", summed for single cells of the k plane as well
 
 
 def sources(names: Sequence[str]) -> list[str]:
-    """Fields of a cube that the named spectra need, in the order of the cube."""
+    """Fields of a cube that some quantities are computed from, in the order of the cube."""
     needed = {field for name in names for field in SOURCES[name]}
     return [field for field in ("z", "z_t", "u", "v", "w") if field in needed]
 
 
 class _Advection:
-    """(u - U) . grad z, or z_t + U . grad z, computed for a few steps at a time."""
+    """(u - U) . grad z, or z_t + U . grad z, computed when some of its steps are read."""
 
     def __init__(self, fields: Mapping[str, Array], welch: Welch, name: str) -> None:
         self.name = name
@@ -104,9 +104,8 @@ def transforms(
     welch: Welch,
     memory: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
-    """Spatial transforms, (cells, steps), of half a segment of fields (steps, ny, nx); the fields are
-    released.
-    ``memory`` holds earlier transforms, which are overwritten.
+    """Spatial transforms, (cells, steps), of half a segment of fields (steps, ny, nx), by quantity.
+    Empties ``fields`` to free memory. Writes into the arrays of ``memory``, earlier transforms, if given.
     """
     out, memory = {}, memory or {}
     advected = [name for name in ("nl", "rise") if name in names]
@@ -123,7 +122,7 @@ def transforms(
 
 
 def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Array]:
-    """Zero sums for `add_segment`; ``half`` is a transform (cells, n / 2) of the same shape."""
+    """Sums of zeros for `add_segment`; ``half`` is a transform, (cells, n / 2), of that shape."""
     cells, steps = half.shape
     names = (*requested.names, *(f"{a}*{b}" for a, b in requested.pairs))
     sums = {name: np.zeros((2, table.k.size, steps + 1)) for name in names}
@@ -140,7 +139,9 @@ def add_segment(
     second: dict[str, Array],
     begin: int,
 ) -> None:
-    """Add the powers and products of a segment, from transforms (cells, n / 2) of its halves, to ``sums``."""
+    """Add the powers and cross products of a segment to ``sums``, from transforms (cells, n / 2) of its
+    halves. ``begin`` is the first step of the segment.
+    """
     if not sums:
         sums |= empty_sums(first[requested.names[0]], requested, welch.table)
     table, dt, names = welch.table, welch.record.dt, requested.names
@@ -176,7 +177,7 @@ def _add_products(
     table: Rings,
     quadrature: Sequence[Array],
 ) -> None:
-    """Add the product of two fields for a slab of cells, over rings and, if requested, per cell."""
+    """Add the cross product of two quantities in some cells to the sums over rings and over single cells."""
     first, second, name = lines[pair[0]], lines[pair[1]], "*".join(pair)
     start = table.start[slab.start : slab.stop + 1]
     kernels.ring_cross_spectra(first, second, start, table.ring, table.weight, sums[name])
@@ -186,16 +187,13 @@ def _add_products(
 
 
 def _quadrature(b: Array) -> tuple[Array, Array]:
-    """Factors on real and imaginary part of a product, in numpy's signs; `b` is signed omega dt / 2."""
+    """Factors for Re(i exp(i b) S) of a cross spectrum S in numpy's sign convention; b is omega dt / 2."""
     imaginary = np.where(b < 0, -1.0, 1.0) * np.cos(b)
     imaginary[[0, b.size // 2]] = 0.0
     return -np.sin(np.abs(b)), imaginary
 
 
-_MEASURED = {"z_t": "z"}  # the response to differences of elevations is that to elevations
-
-
-# dimensions of the results; those of pairs only where pairs were asked for
+# dimensions of the results
 _DIMS = {
     "E": ("quantity", "omega", "k"),
     "dof": ("quantity", "omega", "k"),
@@ -210,7 +208,7 @@ _DIMS = {
 def _estimates(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> dict[str, Array]:
-    """Spectra, degrees of freedom, cross spectra and samples with the dimensions of `_DIMS`."""
+    """Spectra, degrees of freedom, cross spectra and numbers of samples, with the dimensions of `_DIMS`."""
     freedom = {name: ring_freedom(sums, name, welch) for name in names}
     if "nl" in names:
         waves = next(name for name in ("w", "rise", *names) if name in names)
@@ -232,7 +230,7 @@ def _estimates(
 def label(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
-    """Labelled spectra from the sums of `add_segment` over all segments."""
+    """Labelled power and cross spectra from the sums of `add_segment` over all segments."""
     coords: dict[str, Any] = {"quantity": list(names)} | omega_coords(welch.omega) | k_coords(welch.table.k)
     if pairs:
         coords["pair"] = ["*".join(pair) for pair in pairs]
@@ -243,11 +241,11 @@ def label(
 
 
 def checked_fields(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Fields of a cube that some spectral names are made of, checked, in m and s and of one type."""
+    """Fields of a cube from which some quantities are computed, in m and s and of one type."""
     fields = sources(names)
     for field in fields:
         if field not in cube:
-            raise CubeError(f"the cube has no {field!r}, which the spectra of {', '.join(names)} are made of")
+            raise CubeError(f"the cube has no {field!r}: spectra of {', '.join(names)} need it")
     return validate(cube, *fields)
 
 
@@ -260,37 +258,48 @@ def cross_spectra(
     segment: int | None = None,
     record: Record | None = None,
 ) -> xr.Dataset:
-    """Power and cross spectra of fields of a cube in one pass.
+    """Power and cross spectra of several quantities of a cube, integrated over the direction of k.
 
     Parameters
     ----------
     cube : Dataset
-        Fields over (time, y, x), m and m/s. Lazy input gives a lazy result.
+        Fields over (time, y, x), m and m/s. A cube on disk is read once, in pieces.
     names : sequence of str
-        Of z (at frame times), z_t, u, v, w, nl ((u - U) . grad z) and rise (z_t + U . grad z), with U the
-        mean of u, v over the record.
+        Quantities: z (at the times of the frames), z_t, u, v, w, nl, which is (u - U) . grad z, and rise,
+        which is z_t + U . grad z. U is the mean of u, v over the record.
     pairs : sequence of (str, str)
-        Pairs of these whose cross spectrum is computed.
+        Pairs of quantities whose cross spectrum is computed.
     segment : int, optional
-        Steps of a Welch segment; chosen from the record if not given.
+        Steps of a Welch segment; by default chosen from the record.
     record : Record, optional
-        Rectangle and runs; found from the cube if not given.
+        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
 
     Returns
     -------
     Dataset
-        ``E`` and ``dof``, degrees of freedom, (quantity, omega, k), with ``dof_omega`` and ``dof_k`` of the
-        sums; ``S`` = <conj(a) b> and its independent ``samples`` (pair, omega, k), ``samples_k`` (pair, k),
-        the pair named "a*b"; ``coverage``, ``cells`` (k), ``valid`` (omega, k).
+        ``E`` and its degrees of freedom ``dof`` (quantity, omega, k), in the quantity's units squared per
+        rad/m and rad/s; ``dof_omega`` and ``dof_k``, those of E(omega) and E(k). For each pair, named "a*b",
+        the cross spectrum ``S`` = <conj(a) b> (pair, omega, k) and the number of independent ``samples`` in
+        it, ``samples_k`` in its integral over omega. ``coverage``, the sampled fraction of each ring, and
+        ``cells``, their number (k); ``valid`` (omega, k).
 
     Raises
     ------
     CubeError
-        If a field is missing, the record is shorter than a segment or no full rectangle is left.
+        If a field is missing, the record is shorter than a segment or no rectangle is fully measured.
 
     Notes
     -----
-    The phase of S is that of waves exp(i (k . x - omega t)) with omega > 0, averaged over all directions.
+    The phase of S refers to waves exp(i (k . x - omega t)) with omega > 0, averaged over all directions.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> axes = {"time": np.arange(128) * 0.05, "y": np.arange(20) * 0.05, "x": np.arange(24) * 0.05}
+    >>> fields = {n: (tuple(axes), rng.standard_normal((128, 20, 24)), {"units": "m s-1"}) for n in "uw"}
+    >>> found = cross_spectra(xr.Dataset(fields, axes), ("u", "w"), [("u", "w")], segment=64)
+    >>> found.E.dims, found.S.pair.values.tolist()
+    (('quantity', 'omega', 'k'), ['u*w'])
     """
     cube = checked_fields(cube, names)
     return _ring_spectra(cube, names, pairs, Welch.of(cube, segment, record))
@@ -299,6 +308,7 @@ def cross_spectra(
 def _transform_blocks(
     names: Sequence[str], welch: Welch, blocks: list[Array], link: Link, memory: dict[str, Array]
 ) -> dict[str, Array]:
+    """As `transforms`, from the blocks that were read from the fields of the cube."""
     fields = dict(zip(sources(names), blocks))
     blocks.clear()  # so that `transforms` can release them
     return transforms(fields, names, welch, memory)
@@ -322,18 +332,19 @@ def segment_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> dict[s
 def _ring_spectra(
     cube: xr.Dataset, names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
-    # the time that waves stay in the window, and so the degrees of freedom, depend on the current
+    """Labelled spectra of a cube whose fields were checked."""
+    # the current decides how long waves stay in the window, and so the degrees of freedom
     welch = with_mean_current(cube, welch) if {"u", "v"} <= {*cube} else welch
     return label(segment_sums(cube, Requested(names, pairs), welch), names, pairs, welch)
 
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
-    """Spectra without the response of the measurement; nonlinear terms are left as they are."""
+    """Divide the spectra by the power gain of the measurement; those of rise and nl are not corrected."""
     names = ring["quantity"].values
     factor, valid = np.ones((names.size, ring.sizes["k"])), np.zeros((names.size, ring.sizes["k"]), bool)
     for i, name in enumerate(names):
         if name not in ("rise", "nl"):
-            factor[i], valid[i] = correction(gain, _MEASURED.get(name, name), ring["k"].values)
+            factor[i], valid[i] = correction(gain, "z" if name == "z_t" else name, ring["k"].values)
     by_k = ("quantity", "k")
     return ring.assign(E=ring["E"] * xr.DataArray(factor, dims=by_k), valid_k=(by_k, valid))
 
@@ -345,7 +356,7 @@ def _spectra(
     welch: Welch,
     filled: Mapping[str, float],
 ) -> xr.Dataset:
-    """E(k, omega), E(k) and E(omega) of each quantity with their intervals."""
+    """Group `spectra`: E(k, omega), E(k) and E(omega) of each quantity, with their intervals."""
     valid = ring["valid"]
     for name, added in filled.items():
         if added:
@@ -359,6 +370,7 @@ def _spectra(
 
 
 def _ring(sums: Mapping[str, Array], pairs: Sequence[tuple[str, str]], welch: Welch) -> xr.Dataset:
+    """Spectra of all quantities, and cross spectra of the pairs of an analysis."""
     return label(sums, NAMES, pairs, welch)
 
 
@@ -370,28 +382,28 @@ register(
 
 COHERENCE_NAMES = ("rise", "w", "nl")
 COHERENCE_PAIRS = (("rise", "w"), ("rise", "nl"), ("w", "nl"))
-# pair whose samples count for each term: the sum w - u . grad z has those of w, its largest part
+# pair that sets the number of samples of each term; w is the largest part of tot, w - u . grad z
 TERMS = {"w": "rise*w", "nl": "rise*nl", "tot": "rise*w"}
 
 
 def significance_level(samples: Any) -> Any:
-    """Squared coherence that unrelated signals exceed in 5 % of cases: 1 - 0.05^(1 / (N - 1))."""
+    """Squared coherence that unrelated signals exceed in 5 % of cases, 1 - 0.05^(1 / (N - 1))."""
     more = np.maximum(samples - 1, 1e-9)
     return 1 - CHANCE ** (1 / more)
 
 
 def _above_noise(energy: xr.DataArray) -> xr.DataArray:
-    """Whether the energy (omega, k) of each ring exceeds its noise on the few lines with waves, (k,)."""
+    """Whether the energy of each ring exceeds its noise, the median over omega, threefold, (k,)."""
     noise = energy.median("omega") * energy.sizes["omega"]
     return energy.sum("omega") > MIN_SIGNAL_TO_NOISE * noise
 
 
 def coherence_group(ring: xr.Dataset) -> xr.Dataset:
-    """Coherences over k and over (k, omega) from the cross spectra of z_t, w and u . grad z."""
+    """Group `coherence`: the results of `coherence`, from the spectra and cross spectra of its terms."""
     rise, w, nl = (ring["E"].sel(quantity=name, drop=True) for name in COHERENCE_NAMES)
     rise_w, rise_nl, w_nl = (ring["S"].sel(pair="*".join(pair), drop=True) for pair in COHERENCE_PAIRS)
     terms = xr.Variable("term", list(TERMS))
-    # cross spectrum with z_t and power of each term; the nonlinear term is -u . grad z
+    # cross spectrum with z_t, and power, of each term; the term nl is -u . grad z
     cross = xr.concat([rise_w, -rise_nl, rise_w - rise_nl], terms)
     power = xr.concat([w, nl, w + nl - 2 * w_nl.real], terms)
     pairs = xr.DataArray(list(TERMS.values()), dims="term")
@@ -406,7 +418,7 @@ def coherence_group(ring: xr.Dataset) -> xr.Dataset:
         number = samples.sel(pair=pairs).drop_vars("pair").clip(min=1)
         out[f"samples{ending}"] = number
         out[f"level{ending}"] = significance_level(number)
-    # noise of z_t and w comes from the same images, and is coherent
+    # z_t and w are measured from the same images, so their noise is coherent, too
     out["valid"] = _above_noise(rise) & _above_noise(w) & ring["valid"].any("omega")
     return annotate(xr.Dataset(out, attrs=ring.attrs), "coherence")
 
@@ -418,36 +430,40 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     Parameters
     ----------
     cube : Dataset
-        z, z_t, u, v, w over (time, y, x), m and m/s. Lazy input gives a lazy result.
+        z, z_t, u, v, w over (time, y, x), m and m/s. A cube on disk is read once, in pieces.
     segment : int, optional
-        Steps of a Welch segment; chosen from the record if not given.
+        Steps of a Welch segment; by default chosen from the record.
     record : Record, optional
-        Rectangle and runs; found from the cube if not given.
+        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
 
     Returns
     -------
     Dataset
-        ``C``, complex, ``gamma2``, ``samples`` and ``level``, exceeded by 5 % of unrelated signals, (term, k)
-        for the terms w, nl and tot; the same with ``_komega`` over (term, omega, k). ``valid`` (k): where the
-        waves exceed the noise, which is coherent too.
+        Over (term, k), for the terms w, nl and tot: the complex coherence ``C`` with common norm; the squared
+        coherence ``gamma2``; the number of independent ``samples``; and ``level``, the gamma2 that unrelated
+        signals exceed in 5 % of cases. The same names with ``_komega`` are over (term, omega, k). ``valid``
+        (k) is true where the waves exceed the noise threefold; noise is coherent, too.
 
     Raises
     ------
     CubeError
-        If a variable is missing, the record is shorter than a segment or no full rectangle is left.
+        If a variable is missing, the record is shorter than a segment or no rectangle is fully measured.
 
     Notes
     -----
-    All are in the frame that moves with the mean current U, the mean of u, v over the record: z_t is
-    z_t + U . grad z, and u is u - U, since U . grad z is linear.
-    The three C share the norm sqrt(<|z_t|^2> <|w - u . grad z|^2>), cross and auto spectra being averaged
-    over angle first, so C of w and nl add up to that of tot exactly and |C| of w may exceed 1. Sums run
-    over omega >= 0, where k points where the wave goes; the mean over both signs of omega is the real part.
-    gamma2 is the standard coherence; for unrelated signals its mean is 1 / samples.
+    All terms refer to a frame that moves with U, the mean of u, v over the record: z_t stands for
+    z_t + U . grad z, and u for u - U, because U . grad z is linear in the waves.
+
+    C = <conj(z_t) a> / sqrt(<|z_t|^2> <|w - u . grad z|^2>) for a term a, with <> the mean over segments and
+    directions and, for C(k), the sum over omega >= 0. The norm is the same for all terms, so C of w and C of
+    nl add up to that of tot, and |C| of w may exceed 1. The mean over both signs of omega is the real part of
+    C. gamma2 is the squared coherence with each term's own norm; its mean is 1 / samples for unrelated
+    signals.
 
     Examples
     --------
-    A plane tilted by 0.1 that water crosses at a tenth of its rate of rise.
+    A plane of slope 0.1. The water's horizontal velocity is a tenth of the rate of rise, so u . grad z is a
+    hundredth of it.
 
     >>> rise = np.random.default_rng(0).standard_normal((128, 20, 24))
     >>> axes = {"time": np.arange(128) * 0.05, "y": np.arange(20) * 0.04, "x": np.arange(24) * 0.04}
@@ -471,32 +487,32 @@ register(WaveProduct("coherence", ("ring",), coherence_group, group="coherence",
 
 @takes(a_cube)
 def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
-    """Coherence at each wave vector, averaged over time, and its mean over angle taken after the ratio.
+    """Coherence of z_t with w, -u . grad z and their sum at each wave vector, and its mean over direction.
 
     Parameters
     ----------
     cube : Dataset
-        z, z_t, u, v, w over (time, y, x), m and m/s. Read once, in pieces; computed at once.
+        z, z_t, u, v, w over (time, y, x), m and m/s. A cube on disk is read once, in pieces.
     record : Record, optional
-        Rectangle and runs; found from the cube if not given.
+        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
 
     Returns
     -------
     Dataset
-        ``plane_C`` (term, ky, kx), moduli of the terms w, nl and tot, for kx >= 0 (a real field has the same
-        at -k), and their means over rings ``mean_C`` (term, k). Attribute ``steps``.
+        ``plane_C`` (term, ky, kx), the modulus for the terms w, nl and tot and kx >= 0 (it is the same at
+        -k); ``mean_C`` (term, k), its mean over rings. Attribute ``steps``, the number of steps used.
 
     Raises
     ------
     CubeError
-        If a variable is missing or no full rectangle is left.
+        If a variable is missing or no rectangle is fully measured.
 
     Notes
     -----
-    |<conj(z_t) a>| / sqrt(<|z_t|^2> <|w - u . grad z|^2>) of Hann-windowed transforms in space, <> over time,
-    less the means over time: the equation of Aubourg et al. The modulus of a mean of few samples is never
-    zero: N independent ones leave about 0.9 / sqrt(N), which `coherence`, averaged over angle before the
-    ratio, does not have.
+    |<conj(z_t) a>| / sqrt(<|z_t|^2> <|w - u . grad z|^2>) for a term a, as Aubourg et al. define it. <> is
+    the covariance over time of spatial transforms with a Hann window. N independent samples of unrelated
+    signals give about 0.9 / sqrt(N), not 0. `coherence` averages over directions before it takes the ratio,
+    so it does not have this bias.
     """
     cube = checked_fields(cube, COHERENCE_NAMES)
     welch = with_mean_current(cube, Welch.of(cube, None, record))
@@ -527,7 +543,7 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
 
 
 def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
-    """Sums over steps, (cells,), of the power of each term and of its product with z_t."""
+    """Sums over steps, (cells,), of the transforms of the terms, their powers and products with z_t."""
     z_t, w, nl = (parts[name] for name in COHERENCE_NAMES)
     return {
         "z_t": z_t.sum(axis=1),
@@ -541,7 +557,7 @@ def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
 
 
 def _plane_coherences(mean: dict[str, Array]) -> Array:
-    """Moduli of the coherence of each term and of their sum, (3, cells)."""
+    """Moduli of the coherence of each term and of their sum, (3, cells), from means over time."""
     power = mean["power"] - np.abs(mean["z_t"]) ** 2
     total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))

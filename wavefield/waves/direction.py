@@ -1,4 +1,4 @@
-"""Directions of the waves near the dispersion relation, and how isotropic the sea is."""
+"""Directional spectrum of the free waves, with uncertainties."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -31,23 +31,23 @@ from wavefield.waves.welch import Welch, frames_of, interval
 
 Array = NDArray[Any]
 
-_HANN = np.array([1 / 36, 4 / 9, 1, 4 / 9, 1 / 36])  # squared correlation of neighbouring lines or cells
-# variance of the direction over that of cells which are correlated by their windows alone, as waves on the
-# relation fill a thin ridge: 1.9, 1.9 and 1.6 in 20 Gaussian seas each of s = 5, 20 and 50
+_HANN = np.array([1 / 36, 4 / 9, 1, 4 / 9, 1 / 36])  # squared correlation of neighbouring cells, Hann window
+# The energy lies on a thin ridge, so cells are correlated more than by their windows. Ratio of the variances
+# of the direction: 1.9, 1.9 and 1.6 in 20 Gaussian seas each of directional spreading s = 5, 20 and 50
 RIDGE_CORRELATION = 1.6
 
 
 def segments_of(dof: float) -> float:
-    """Number of half-overlapping segments that gives a cell this many degrees of freedom."""
+    """Number of segments, overlapping by half, that give a spectrum this many degrees of freedom."""
     return max(19 * dof / 36, 1.0)
 
 
 def packet_correlation(
     ky: Array, kx: Array, omega: Array, water: tuple[float, float], current: tuple[float, float], dof: float
 ) -> Array:
-    """Variance of a mean over segments relative to independent segments, for free waves, (ky, kx).
-    A slow packet stays in view for several segments. Depth in m, tension over density in m3/s2, current in
-    m/s.
+    """Variance of a mean over segments for free waves, relative to that for white noise, (ky, kx).
+    A slow wave packet stays in the rectangle for several segments, which are then correlated. `water` holds
+    the depth, m, and surface tension over density, m3/s2; current in m/s.
     """
     k = np.maximum(np.hypot(ky[:, None], kx), 1e-9)
     speed = group_velocity(k, *water) / k
@@ -55,14 +55,14 @@ def packet_correlation(
     lengths = 2 * np.pi / (kx[1] - kx[0]), 2 * np.pi / (ky[1] - ky[0])
     count = segments_of(dof)
     crossing = correlation_at(velocity, 2 * np.pi / (omega[1] - omega[0]), lengths, round(count))
-    white = 1 + (1 - 1 / count) / 18  # of noise, by the overlap of segments
+    white = 1 + (1 - 1 / count) / 18  # white noise in segments that overlap by half, Hann window
     return np.maximum(crossing / white, 1.0)
 
 
 def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
-    """Covariances of the sector energies, from fractions of cells (sectors, cells) and energies
-    (lines, ky, kx), of `dof` degrees of freedom. Neighbouring cells and lines are correlated, and sectors
-    share cells.
+    """Covariances of the energies of sectors, (sectors, sectors).
+    From the fraction of each cell in each sector, (sectors, cells), and the energies (lines, ky, kx) of cells
+    with `dof` degrees of freedom. Neighbouring cells and lines are correlated, and sectors share cells.
     """
     lines, ny, nx = energy.shape
     reach = min(2, lines - 1)
@@ -83,7 +83,7 @@ def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
 
 
 def sector_freedom(levels: Array, covariances: Array) -> Array:
-    """Degrees of freedom of each sector's share of the total, (sectors,)."""
+    """Degrees of freedom of each sector's fraction of the total energy, (sectors,)."""
     total = max(levels.sum(), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
@@ -91,7 +91,7 @@ def sector_freedom(levels: Array, covariances: Array) -> Array:
 
 
 def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[float, float]:
-    """Standard uncertainties of the first harmonic of D along its direction and across it."""
+    """Standard uncertainties of the first harmonic of D(theta), along and across the mean direction."""
     total = max(levels.sum(), 1e-300)
     turned = np.exp(1j * theta)
     first = (levels * turned).sum() / total
@@ -100,14 +100,14 @@ def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[floa
     return np.sqrt(max(along, 0.0)), np.sqrt(max(across, 0.0))
 
 
-BLUR_UNCERTAINTY = 0.2  # of the resolution that is taken off the spread, relative
-STEP_HZ = 0.1  # between frequencies, and width of each: two lines of segments of 20 s; at least one line
-LOWEST_HZ = 0.5  # the integrated w holds little but drift below
+BLUR_UNCERTAINTY = 0.2  # chosen: relative uncertainty of the resolution that is subtracted from the spread
+STEP_HZ = 0.1  # width and distance of frequency bands: two lines of segments of 20 s
+LOWEST_HZ = 0.5  # chosen: below it, the elevation integrated from w is mostly drift
 
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
-    """E(k, omega + k . U) on some lines of E(omega, ky, kx), (lines, ky, kx): in the frame of the water.
-    Values between lines are interpolated linearly; the current U is in m/s.
+    """Spectrum in the frame of the water, E(k, omega + k . U), on some lines, (lines, ky, kx).
+    Values between lines are interpolated linearly. The current U is in m/s.
     """
     values = density.values
     if not any(current):
@@ -132,7 +132,7 @@ def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, fl
 
 
 class _RingSectors:
-    """Sectors of a ring in the k plane, as fractions of cells."""
+    """Division of the cells of the k plane between sectors of direction, by area."""
 
     def __init__(self, ky: Array, kx: Array, count: int) -> None:
         n = rings.SUPERSAMPLING
@@ -168,54 +168,59 @@ def directions(
     current: tuple[float, float] | None = None,
     segment: int | None = None,
 ) -> xr.Dataset:
-    """Directional spectrum of the waves near the dispersion relation.
+    """Directional spectrum of the waves on the dispersion relation.
 
     Parameters
     ----------
     density : DataArray or Dataset
-        A cube, of whose w the elevation is integrated; or the spectrum (omega, ky, kx) of one field, the
-        result of `spectrum`, or a field (time, y, x) whose spectrum is computed.
+        A cube, whose elevation is integrated from w; or a spectrum E(omega, ky, kx), the result of
+        `spectrum`, or a field over (time, y, x), whose own spectrum is used.
     frequency : sequence of float, optional
-        Frequencies in the frame of the water, Hz, each of a band of 0.1 Hz, or one line of the spectrum
-        where lines are further apart; by default all bands that segment and grid resolve.
+        Middles of the frequency bands in the frame of the water, Hz. A band is 0.1 Hz wide, or one line of
+        the spectrum if that is wider. By default all bands that segment and grid resolve.
     depth : float, optional
         Depth of the water, m; by default that of the input, or deep.
     current : tuple of float, optional
         Velocity of the water along x and y, m/s; by default it is fitted to the dispersion relation.
     segment : int, optional
-        Steps of a Welch segment, where the spectrum of a cube or field is computed; chosen from the record if
-        not given.
+        Steps of a Welch segment for the spectrum of a cube or field; by default chosen from the record.
 
     Returns
     -------
     Dataset
-        ``D`` (frequency, theta): density over the direction of propagation, in 24 sectors, whose integral
-        over theta is 1; ``dof``, ``low``, ``high`` (frequency, theta), NaN of a density alone, which does not
-        state its degrees of freedom; ``energy`` (frequency), the waves' spectrum per Hz;
-        ``direction``, ``spread`` (frequency): mean direction and directional spread, rad, and
-        ``direction_std``, ``spread_std``, their standard uncertainties; ``r1``, ``r2``
-        (frequency), moduli of the first two harmonics; ``isotropy`` (frequency): 1 - the larger of them,
-        1 for an isotropic sea, 0 for a single direction. All but ``energy`` are NaN at frequencies whose
-        waves the grid does not resolve or the noise hides. ``efth`` (freq, dir) is the same spectrum as
-        oceanographers write it: per Hz and degree, ``dir`` in degrees, where waves come from, clockwise from
-        the y axis. With wavespectra installed, ``import wavespectra`` gives the result ``.spec``.
+        Over (frequency, theta), with theta the direction of propagation in 24 sectors: ``D``, the
+        directional density in 1/rad, whose integral over theta is 1; its degrees of freedom ``dof``; ``low``
+        and ``high``, which times D are the limits of the 95 % interval. These three are NaN for a spectrum
+        E without its variable ``dof``.
+        Over frequency: ``energy``, the spectrum of the waves per Hz; ``direction`` and ``spread``, the mean
+        direction and directional spread, rad, with standard uncertainties ``direction_std`` and
+        ``spread_std``; ``r1`` and ``r2``, the moduli of the first two harmonics of D; ``isotropy``, 1 less
+        the larger of r1 and r2 (1 for an isotropic sea, 0 for a single direction).
+        All but ``energy`` are NaN at frequencies that the grid does not resolve, or whose waves are below
+        three times the noise.
+        ``efth`` (freq, dir), the same spectrum in the convention of oceanography: per Hz and degree, with
+        ``dir`` the direction that waves come from, in degrees clockwise from the y axis. After ``import
+        wavespectra`` the result has the accessor ``.spec``.
 
     Raises
     ------
     CubeError
-        If a frequency lies beyond the Nyquist frequency, or there is none, or the fit of the current is
-        refused and none is given.
+        If a frequency exceeds the Nyquist frequency, the spectrum resolves none, or the current is not given
+        and its fit is refused.
 
     Notes
     -----
-    The spectrum is first taken to still water, E(k, omega + k . U). Cells near the dispersion relation are
-    shared between sectors by area (8 x 8 parts); the k plane's own coverage of each sector is divided out,
-    so that a rectangle of nodes does not appear as a direction. The spread is sqrt(2 (1 - r1)) less the
-    resolution: a Hann window of length L blurs k by (2 pi / L) / sqrt(3), cells and sectors by their width
-    over sqrt(12). D, the harmonics and ``efth`` keep that blur. The degrees of freedom are those of a
-    sector's energy, whose cells and lines the Hann windows correlate. A thin ridge, and waves that stay in
-    the window for longer than a segment, reduce them; the sum over sectors, by which D is divided, adds its
-    own uncertainty.
+    The spectrum is first shifted to the frame of the water, E(k, omega + k . U). Cells near the dispersion
+    relation are divided between sectors by area. The energy of a sector is divided by the fraction of it that
+    the k plane samples, so that the shape of the rectangle does not appear as a direction.
+
+    The spread is sqrt(2 (1 - r1)) less the resolution in quadrature: a Hann window of length L blurs k by
+    (2 pi / L) / sqrt(3); cells and sectors blur it by their width over sqrt(12). D, the harmonics and
+    ``efth`` are not corrected for this blur.
+
+    The degrees of freedom account for the correlation of cells and lines by the windows, for the thin ridge
+    that waves occupy, for waves that stay in the rectangle for several segments, and for the uncertainty of
+    the total by which D is normalised.
 
     Examples
     --------
@@ -245,8 +250,8 @@ def directions(
 def elevation_density(
     density: xr.DataArray, current: tuple[float, float], frames: int, water: tuple[float, float]
 ) -> xr.DataArray:
-    """E(omega, ky, kx) of the elevation, from that of w on a current, m/s.
-    The rise of a particle is integrated at its own frequency, omega - k . U.
+    """E(omega, ky, kx) of the elevation, from that of w and the current, m/s.
+    w is integrated at the frequency in the frame of the water, omega - k . U.
     """
     omega, ky, kx = np.meshgrid(
         *(density[name] for name in ("omega", "ky", "kx")), indexing="ij", sparse=True
@@ -273,7 +278,7 @@ def _largest_k(density: xr.DataArray) -> float:
 def above_noise(
     density: xr.DataArray, found: xr.Dataset, water: tuple[float, float], current: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """Those of the frequencies at which the grid resolves waves and they exceed the noise."""
+    """Whether the grid resolves the waves of each frequency and their energy exceeds the noise threefold."""
     spectrum = PlaneSpectrum.of(density, water)
     frequency = found["frequency"].values
     centres = wavenumber(2 * np.pi * frequency, *water)
@@ -292,15 +297,15 @@ def above_noise(
 
 
 def oceanographic(found: xr.Dataset) -> xr.DataArray:
-    """Directional spectrum as oceanographers write it: over degrees where waves come from."""
+    """Spectrum per Hz and degree, over the direction that waves come from, clockwise from the y axis."""
     compass = (270 - np.degrees(found["theta"].values)) % 360
     order = np.argsort(compass)
     energy = (found["energy"] * found["D"] * np.pi / 180).values[:, order]
     coords = {"freq": found["frequency"].values, "dir": compass[order]}
     out = annotate(xr.Dataset({"efth": (("freq", "dir"), energy)}, coords), "direction")["efth"]
     out.attrs["comment"] = (
-        "as blurred by the windows: a spread computed from it, such as dspr of wavespectra, is too large;"
-        " spread has the blur taken off"
+        "blurred by the windows: a spread computed from it, such as dspr of wavespectra, is too large;"
+        " the variable spread is corrected for the blur"
     )
     return out
 
@@ -312,11 +317,11 @@ def _directions(
     current: tuple[float, float],
     dof: float | None,
 ) -> xr.Dataset:
-    """As `directions`, of E(omega, ky, kx) whose cells have `dof` degrees of freedom (None: unknown)."""
+    """As `directions`, for E(omega, ky, kx) with `dof` degrees of freedom per cell (None: unknown)."""
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
     if not frequency.size:
-        raise CubeError("no frequency is left between a segment's longest waves and the grid's shortest")
+        raise CubeError("segment and grid resolve no frequency: choose a longer segment or a finer grid")
     if frequency.max() > lines[-1]:
         raise CubeError(f"{frequency.max():g} Hz is outside the spectrum, which ends at {lines[-1]:g} Hz")
     ky, kx = density["ky"].values, density["kx"].values
@@ -329,7 +334,7 @@ def _directions(
     if dof is not None:
         packets = packet_correlation(ky, kx, density["omega"].values, water, current, dof)
     for i, (f, centre) in enumerate(zip(frequency, centres)):
-        # a line at either end counts once
+        # a line on the boundary of two bands belongs to one of them
         band = np.flatnonzero(np.abs(lines - f) < max(STEP_HZ, lines[1]) / 2 * (1 - 1e-9))
         if not band.size:
             band = np.array([np.abs(lines - f).argmin()])
@@ -345,7 +350,6 @@ def _directions(
             stds[:, i] = harmonic_stds(levels[i], RIDGE_CORRELATION * covariances, theta)
     found = _label(frequency, centres, levels, degrees, cells, stds)
     clear = xr.DataArray(above_noise(density, found, water, current), dims="frequency")
-    # energies are kept
     known = {name: found[name].where(clear) for name in found if name != "energy"}
     return found.assign(known).assign(efth=oceanographic(found))
 
@@ -358,6 +362,7 @@ def _label(
     cells: tuple[float, float],
     stds: Array,
 ) -> xr.Dataset:
+    """Directional density, harmonics, spread and uncertainties from the energies of sectors."""
     sectors = levels.shape[1]
     width = 2 * np.pi / sectors
     theta = (np.arange(sectors) + 0.5) * width
@@ -365,16 +370,16 @@ def _label(
     values = np.divide(levels, total * width, out=np.full(levels.shape, np.nan), where=total > 0)
     first, second = ((values * np.exp(1j * m * theta)).sum(axis=1) * width for m in (1, 2))
     mean = np.angle(first)
-    # variance of a component of k: window 1/3 and cell 1/12, in cells; across the mean direction
+    # variance of k across the mean direction, in cells squared: 1/3 by the Hann window and 1/12 by the cell
     across = np.hypot(cells[0] * np.cos(mean), cells[1] * np.sin(mean)) / np.asarray(centres)
     blur = 5 / 12 * across**2 + width**2 / 12
     spread = np.sqrt(np.maximum(2 * (1 - np.abs(first)) - blur, 0))
     along, across = stds
-    # chance alone gives an isotropic sea a first harmonic, and a direction
+    # an isotropic sea has a first harmonic by chance
     beyond_chance = np.sqrt(np.maximum(np.abs(first) ** 2 - along**2 - across**2, 1e-18))
-    # what r1 is too large by, on average, by chance; and an uncertain resolution
+    # in quadrature: the bias of r1 by chance, and the uncertainty of the resolution
     along = np.sqrt(along**2 + (across**2 / (2 * np.abs(first))) ** 2 + (BLUR_UNCERTAINTY * blur / 2) ** 2)
-    nothing_known = np.pi / np.sqrt(3)  # rad: a direction is uniform over the circle
+    uniform = np.pi / np.sqrt(3)  # rad: standard deviation of a direction that is uniform over the circle
     low, high = interval(degrees)
     dims = ("frequency", "theta")
     out = xr.Dataset(
@@ -386,7 +391,7 @@ def _label(
             "energy": ("frequency", 2 * np.pi * total[:, 0]),
             "direction": ("frequency", mean % (2 * np.pi)),
             "spread": ("frequency", spread),
-            "direction_std": ("frequency", np.minimum(across / beyond_chance, nothing_known)),
+            "direction_std": ("frequency", np.minimum(across / beyond_chance, uniform)),
             "spread_std": ("frequency", along / np.sqrt(spread**2 + along)),
             "r1": ("frequency", np.abs(first)),
             "r2": ("frequency", np.abs(second)),
@@ -400,7 +405,7 @@ def _label(
 def direction_group(
     density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch
 ) -> xr.Dataset | Noted:
-    """Group `direction`: as `directions`, at all frequencies that segment and grid resolve."""
+    """Group `direction` of an analysis: as `directions`, for all frequencies that can be resolved."""
     water = depth, gamma
     elevation = elevation_density(density, used.velocity, welch.frames, water)
     frequency = resolved_frequencies(density, *water)

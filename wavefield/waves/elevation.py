@@ -1,8 +1,8 @@
-"""The best elevation from stereo and from the integrated vertical velocity, and the noise of either.
+"""Elevation spectra from the stereo elevation z, from the vertical velocity w, and from both combined.
 
-z = eta + n_z at frame times; w dt is the difference of two elevations, so w_hat = w i dt / (2 sin b), b =
-omega dt / 2, is the elevation at mid-time with noise n_w. Signal and noise are separated without a
-still-water record.
+z = eta + n_z at the times of the frames, with the true elevation eta. w dt is the difference of two
+elevations, so w_hat = i w dt / (2 sin b), b = omega dt / 2, is the elevation at mid-time with a noise n_w.
+The cross spectrum of z and w_hat separates the signal from both noises; no still-water record is needed.
 """
 
 from collections.abc import Mapping
@@ -46,14 +46,15 @@ from wavefield.waves.welch import (
 
 Array = NDArray[Any]
 
-SLOWEST, FASTEST = 0.5, 1.5  # of the free frequency: the limits of free waves
+SLOWEST, FASTEST = 0.5, 1.5  # chosen: limits of an intrinsic frequency, relative to that of free waves
 _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m: waves of 6 km to 1.6 mm
 
 
 def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
-    """Frequency omega - k . U in the frame of the water, kept off zero and within reach of free waves.
+    """Frequency omega - k . U in the frame of the water, limited to 0.5 to 1.5 times that of free waves.
 
-    With all frequencies in rad/s; doppler_shift k . U.
+    The limits keep it away from zero, where w cannot be integrated. All frequencies are in rad/s: omega, the
+    Doppler shift k . U, and the frequency sigma of free waves.
 
     Examples
     --------
@@ -68,7 +69,7 @@ def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: fl
 
 @dataclass(frozen=True)
 class SpectraOnCurrent:
-    """Spectra over the plane of wave vectors, and the current they were measured on."""
+    """Spectra over (omega, ky, kx) and the current of the water."""
 
     current: tuple[float, float]  # along x and y, m/s
     w: xr.DataArray  # (omega, ky, kx): spectrum of w
@@ -76,8 +77,8 @@ class SpectraOnCurrent:
     zw: xr.DataArray
 
     def elevations(self, water: Water, dt: float, frames: int) -> tuple[Array, Array, Array]:
-        """Integrals over angle, each (omega, k): the spectrum of the elevation from w, its cross spectrum
-        with z, and the mean factor by which the integration lowers noise.
+        """Integrals over the direction of k, each (omega, k): the elevation spectrum from w, the cross
+        spectrum of that elevation with z, and the noise of displacements relative to that of the elevation.
         """
         ky, kx = np.meshgrid(self.w["ky"].values, self.w["kx"].values, indexing="ij")
         sigma = dispersion(np.hypot(kx, ky), *water)
@@ -103,7 +104,7 @@ class SpectraOnCurrent:
 
 
 def longest_waves(omega: Array, water: Water, speed: float) -> Array:
-    """Wavenumber of the waves that run with a current, the longest of their frequency."""
+    """Wavenumber, rad/m, of waves that propagate along a current: the longest waves of a frequency."""
     return np.asarray(np.interp(omega, dispersion(_TABLE_K, *water) + _TABLE_K * speed, _TABLE_K))
 
 
@@ -112,24 +113,24 @@ PAIRS = (("z", "w"),)
 PLANES = ("z*w",)
 METHODS = ("stereo", "w", "cross", "fusion")
 BY_SOURCE = ["Ez", "dof_Ez", "low_Ez", "high_Ez", "valid_Ez"]
-MIN_FREE_K = 0.5  # of the k of free waves: half-way to the peak, whose leakage keeps its wavenumber
-MAX_FREE_DISTANCE = 0.3  # of the omega of free waves: noise alone is further off
-MIN_TRUSTED_FRACTION = 0.9  # of the cells of free waves: the others miss a ring of them
-MIN_LINES = 5  # below it the weights 1 / omega^2 vary by more than a fifth within a line
-LEARNED_WITHIN = 1.5  # factor by which signal over noise of a predicted gain is uncertain
+MIN_FREE_K = 0.5  # chosen, relative to free waves: leakage of the peak has smaller wavenumbers
+MAX_FREE_DISTANCE = 0.3  # chosen, relative to the omega of free waves: cells further away contain only noise
+MIN_TRUSTED_FRACTION = 0.9  # chosen: fraction of the cells near free waves that must be trusted in a line
+MIN_LINES = 5  # below this line the factor 1 / omega^2 varies by more than a fifth within a line
+LEARNED_WITHIN = 1.5  # chosen: a predicted signal-to-noise ratio is uncertain by this factor
 
 
 def _white(noise: Array, use: Array) -> Array:
-    """White noise level of each ring: a median over lines, which free waves hardly change."""
+    """Noise level of each ring, the median over the lines chosen by `use`: few of them contain waves."""
     noise = np.where(use, noise, np.nan)
-    usable = np.isfinite(noise).any(axis=0)  # in a short record some rings have no line away from free waves
+    usable = np.isfinite(noise).any(axis=0)  # short records: some rings have no line away from free waves
     out: Array = np.zeros(noise.shape[1])
     out[usable] = np.nanmedian(noise[:, usable], axis=0).clip(min=0.0)
     return out
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    """Highest frequency, from the peak on, at which a method is valid, Hz, and its decades below the peak."""
+    """Highest valid frequency without a gap above the peak, Hz, and the decades by which energy falls."""
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
@@ -140,14 +141,14 @@ def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
 
 
 def _smooth(values: Array) -> Array:
-    """Running mean over seven lines, along the first axis."""
+    """Running mean over seven lines, the first axis."""
     return np.asarray(uniform_filter1d(values, 7, axis=0, mode="nearest"))
 
 
 def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Array:
-    """Lines whose free waves fall in trusted cells (omega, k), within three rings and seven lines."""
+    """Lines of which most cells near free waves, within three rings and seven lines, are trusted."""
     k, waves = spectra.k, np.asarray(wavenumber(spectra.omega, *water))
-    if spectra.speed:  # on a current, where the energy is
+    if spectra.speed:  # on a current, use the mean wavenumber of the energy
         energy = np.maximum(_smooth(spectra.zw), 0.0)
         waves = (energy * k).sum(axis=1) / np.maximum(energy.sum(axis=1), _tiny(spectra))
     place = np.rint(np.interp(waves, k, np.arange(k.size))).astype(int)
@@ -158,30 +159,32 @@ def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Arra
 
 @dataclass(frozen=True)
 class _Gains:
-    """Power gains of z and w, and of their cross spectrum, (k,) or (omega, k); 0 where not trusted."""
+    """Power gains of z and w, and the gain of their cross spectrum, (k,); 0 where they are too small."""
 
     z: Array
     w: Array
     zw: Array
-    log_std: float = 0.0  # of the signal over noise that they are predicted from: that of its logarithm
+    log_std: float = 0.0  # standard uncertainty of ln(S / N), from which gains S / (S + N) were predicted
 
     @property
     def std(self) -> tuple[Array, Array]:
-        """Relative standard uncertainties of the amplitude gains S / (S + N) of z and w."""
+        """Relative standard uncertainties of the amplitude gains of z and w."""
         z, w = (self.log_std * np.maximum(1.0 - np.sqrt(power), 0.0) for power in (self.z, self.w))
         return z, w
 
     @property
     def both_usable(self) -> Array:
+        """Rings in which z and w can both be corrected."""
         return np.asarray((self.z > 0) & (self.w > 0))
 
     def elevation(self, cross: Array) -> Array:
-        """Spectrum of the elevation from the cross spectrum, (omega, k)."""
+        """Elevation spectrum from the cross spectrum, (omega, k); 0 where z or w cannot be corrected."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.both_usable, cross / self.zw, 0.0)
 
 
 def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
+    """Gains over rings, k in rad/m; 1 without a gain."""
     if gain is None:
         return _Gains(np.ones_like(k), np.ones_like(k), np.ones_like(k))
     z, w, both = (ring_gain(gain, *names, k) for names in (("z", "z"), ("w", "w"), ("z", "w")))
@@ -191,7 +194,7 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
 
 @dataclass(frozen=True)
 class _Elevations:
-    """Elevation spectra (omega, k): from stereo, from integrated w, and from both."""
+    """Elevation spectra (omega, k) from z (zz), from w (ww) and from their cross spectrum (zw)."""
 
     omega: Array
     k: Array
@@ -199,18 +202,21 @@ class _Elevations:
     zz: Array
     ww: Array
     zw: Array
-    shape: Array  # 4 sin^2: noise of a displacement over that of the elevation from it
+    shape: Array  # (omega, k): noise of a displacement relative to that of the elevation from it
     speed: float = 0.0  # of the current, m/s
 
     @property
     def step(self) -> float:
+        """Distance of the rings, rad/m."""
         return float(self.k[1] - self.k[0])
 
     def over_k(self, array: Array) -> Array:
+        """Integral over k, (omega,)."""
         return np.asarray(array.sum(axis=1) * self.step)
 
 
 def _elevations(ring: xr.Dataset, water: Water, planes: SpectraOnCurrent) -> _Elevations:
+    """Elevation spectra over rings, before noise is subtracted or gains are corrected."""
     dt, omega = float(ring.attrs["dt"]), ring["omega"].values
     frames = int(ring.attrs.get("frames", 2))
     of_z = ring["E"].sel(quantity="z").values
@@ -220,7 +226,7 @@ def _elevations(ring: xr.Dataset, water: Water, planes: SpectraOnCurrent) -> _El
 
 @dataclass(frozen=True)
 class _Noise:
-    """Noise (omega, k) of stereo and of integrated w, and white fits to both."""
+    """Noise (omega, k) of z and of the elevation from w, and fits to both that are white over omega."""
 
     z: Array
     w: Array
@@ -228,14 +234,14 @@ class _Noise:
     fit_w: Array
     white_z: Array  # (k,)
     white_dz: Array
-    known: bool  # whether half of the lines of most rings are off free waves: else the median is of waves
+    known: bool  # whether most rings have waves in less than half of their lines, so that a median is noise
 
 
 def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
+    """Estimate the noise of z and w from what they do not share, S_zz - Re S_zw and S_ww - Re S_zw."""
     omega, k = spectra.omega, spectra.k
     use = (np.arange(omega.size) >= MIN_LINES) & (omega < 0.95 * omega[-1])
-    # where windows leave too little to correct, they still leave some: noise is the energy off free waves
-    # there
+    # rings with too small a gain still contain some waves: there, the noise is taken away from free waves
     free = dispersion(k, *water)
     apart = np.abs(omega[:, None] - free) - np.maximum(MAX_FREE_DISTANCE * free, 4 * omega[1])
     off = apart > k * spectra.speed
@@ -255,8 +261,8 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
 
 
 def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array, Array]:
-    """Spectrum and noise of the best combination of z / H_z and w / H_w, and its uncertainty by the gains.
-    In every cell both are weighted by their inverse variance, from noise and gain.
+    """Elevation spectrum from both z and w, its noise, and the relative uncertainty due to the gains.
+    In every cell, z and w divided by their gains are weighted by the inverse variance from noise and gain.
     """
     std_z, std_w = gains.std
     waves = np.maximum(gains.elevation(spectra.zw), 0.0)
@@ -269,19 +275,22 @@ def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Ar
         remaining = (by_z**2 * noise.fit_z + np.where(by_w > 0, by_w**2 * noise.fit_w, 0.0)) / norm
         power = (by_z**2 * spectra.zz + by_w**2 * spectra.ww + 2 * by_z * by_w * spectra.zw) / norm
         share = by_z * np.sqrt(gains.z) / (by_z * np.sqrt(gains.z) + by_w * np.sqrt(gains.w))
-        std = share * std_z + (1 - share) * std_w  # learned from the same images
+        std = share * std_z + (1 - share) * std_w  # errors of both gains are correlated
     some = scale > 0
     return np.where(some, power - remaining, 0.0), np.where(some, remaining, np.inf), np.where(some, std, 0.0)
 
 
 def _tiny(spectra: _Elevations) -> float:
+    """Smallest energy density that a denominator may have."""
     return 1e-30 * max(float(spectra.zz.max()), 1e-300)
 
 
 def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
 ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
-    """Energies (omega, k) in the order of METHODS, where they are trusted, and their std by the gains."""
+    """Energies (omega, k) in the order of METHODS, where they are trusted, and uncertainties by the gains.
+    With `undo`, noise is subtracted and gains are corrected.
+    """
     best, remaining, std_best = _best(spectra, noise, gains)
     with np.errstate(divide="ignore", invalid="ignore"):
         signals = (
@@ -308,7 +317,7 @@ def _by_method(
 def from_spectra(
     ring: xr.Dataset, water: Water, gain: xr.Dataset | None, planes: SpectraOnCurrent
 ) -> xr.Dataset:
-    """Elevation spectra and noise from the power and cross spectra of z and w."""
+    """Results of `fused_spectra` from the power and cross spectra of z and w."""
     spectra = _elevations(ring, water, planes)
     omega = spectra.omega
     gains = _gains(gain, spectra.k)
@@ -316,7 +325,7 @@ def from_spectra(
     energies_k, trusted_k, stds_k = _by_method(spectra, noise, gains, gain is not None)
     energies = dict(zip(METHODS, (spectra.over_k(array) for array in energies_k)))
     fit_z, fit_w = spectra.over_k(noise.fit_z), spectra.over_k(noise.fit_w)
-    # of the fields as measured, the same for all k: for time series
+    # weight of z and remaining noise of each line, if all rings are weighted alike
     weight = (1 / fit_z) / (1 / fit_z + 1 / fit_w)
     remaining = 1 / (1 / fit_z + 1 / fit_w)
     tiny = _tiny(spectra)
@@ -324,7 +333,7 @@ def from_spectra(
 
     dof = _freedom(ring)
     lines = [_trusted_lines(trusted, spectra, water) for trusted in trusted_k]
-    narrow = np.arange(omega.size) >= MIN_LINES  # lines in which w can be integrated
+    narrow = np.arange(omega.size) >= MIN_LINES  # lines in which the integration of w is accurate
     integrated = dict(zip(METHODS, (np.ones_like(narrow), narrow, narrow, (weight > 0.5) | narrow)))
     valid = {
         method: inner(omega.size) & trusted & integrated[method] & _at_waves(energy, spectra, water)
@@ -344,7 +353,7 @@ def from_spectra(
     out["noise_z"], out["noise_w"] = (("omega", spectra.over_k(array)) for array in (noise.z, noise.w))
     if gain is not None:
         out = out.assign_coords(k_coords(spectra.k))
-        known = trusted_k[-1] & ((gains.z > 0) | (gains.w > 0))  # of the ring itself, not of what leaks in
+        known = trusted_k[-1] & ((gains.z > 0) | (gains.w > 0))
         out["Ez_komega"] = (("omega", "k"), np.where(known, energies_k[-1], np.nan))
     band = np.pi / spectra.dt
     for name, white in (("sigma_z", noise.white_z), ("sigma_dz", noise.white_dz)):
@@ -359,14 +368,14 @@ def from_spectra(
 
 
 def _freedom(ring: xr.Dataset) -> dict[str, Array]:
-    """Degrees of freedom of E(omega) by each method, from the variance between segments, without noise."""
+    """Degrees of freedom of E(omega) by each method, before noise is subtracted."""
     z, w = (ring["dof_omega"].sel(quantity=name).clip(min=1).values for name in NAMES)
     both = np.sqrt(z * w)
     return {"stereo": z, "w": w, "cross": both, "fusion": both}
 
 
 def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
-    """Lines whose energy lies at free waves of their frequency; leakage has the wavenumber of the peak."""
+    """Lines whose energy is mostly near free waves; leakage of the peak has smaller wavenumbers."""
     shorter = spectra.k > MIN_FREE_K * longest_waves(spectra.omega, water, spectra.speed)[:, None]
     energy = np.maximum(energy, 0.0)
     total = _smooth(energy.sum(axis=1))
@@ -374,7 +383,7 @@ def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
 
 
 def _kept_freedom(energies: dict[str, Array], remaining: Array, tiny: float) -> dict[str, Array]:
-    """Fraction of the degrees of freedom that remains after a method subtracts noise."""
+    """Fraction of the degrees of freedom that remains when each method subtracts the noise."""
     zz, ww, zw, best = (energies[method] for method in METHODS)
     both = np.maximum(best + remaining, tiny)
     return {
@@ -395,51 +404,70 @@ def fused_spectra(
     segment: int | None = None,
     record: Record | None = None,
 ) -> xr.Dataset:
-    """Elevation spectrum by four methods, the noise of each, and the weights of the best combination.
+    """Elevation spectrum by four methods, and the noise of z and w.
 
     Parameters
     ----------
     cube : Dataset
-        z, z_t, w over (time, y, x), m and m/s.
+        z, w over (time, y, x), m and m/s.
     gain : path or Dataset, optional
-        Gain of the matching windows, as a cube holds it: it is corrected, and noise subtracted
-        from all four, in the cells in which half of the amplitude is left and the signal is 3 times the
-        noise.
+        Amplitude gain of the matching windows, as a run stores it in its cube. If given, spectra are
+        corrected for it and noise is subtracted in cells with a gain of at least one half and a signal of
+        three times the noise; other cells count as zero.
     depth : float, optional
-        Depth of the water, m; the attribute ``water_depth`` of the cube, or deep, if not given.
+        Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep.
     current : tuple of float, optional
-        Velocity of the water along x and y, m/s; fitted to w if not given, and none where the fit is
-        refused.
+        Velocity of the water along x and y, m/s; by default fitted to w, or zero if the fit is refused.
     segment : int, optional
-        Steps of a Welch segment; chosen from the record if not given.
+        Steps of a Welch segment; by default chosen from the record.
     record : Record, optional
-        Rectangle and runs; found from the cube if not given.
+        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
 
     Returns
     -------
     Dataset
-        ``Ez`` (source, omega; m2 s rad-1) from stereo, w, cross and fusion, with ``dof_Ez``, ``low_Ez``,
-        ``high_Ez``; ``valid_Ez``, with a gain and without: the free waves of the line are 3 times the noise
-        that the method leaves; ``noise_z``, ``noise_w`` (omega);
-        ``sigma_z``, ``sigma_dz`` (m), NaN where segments are too short to tell noise from waves;
-        ``range_frequency`` (Hz), ``range_decades`` (source); with a gain ``Ez_komega`` (omega, k) too, NaN
-        where it cannot be trusted. Computed at once.
+        Over (source, omega), with the sources stereo (from z), w (from integrated w), cross (from their cross
+        spectrum) and fusion (their best combination): ``Ez``, m2 s rad-1; its degrees of freedom ``dof_Ez``;
+        ``low_Ez`` and ``high_Ez``, which times Ez are the limits of the 95 % interval; ``valid_Ez``, true if
+        the waves are at least three times the remaining noise.
+        Over omega: ``noise_z`` and ``noise_w``, the noise in the spectra from z and w, m2 s rad-1.
+        ``sigma_z`` and ``sigma_dz``, the rms noise of z and of w dt, m; NaN if segments are too short to
+        separate noise from waves. Over source: ``range_frequency``, Hz, the frequency up to which Ez is
+        valid, and ``range_decades``, the decades by which Ez falls from the peak to there. With a gain,
+        ``Ez_komega`` (omega, k), m3 s rad-2, by fusion; NaN where it is not trusted.
 
     Raises
     ------
     CubeError
-        If a variable is missing, the record is shorter than a segment or no full rectangle is left.
+        If a variable is missing, the record is shorter than a segment or no rectangle is fully measured.
 
     Notes
     -----
-    N_z = S_zz - Re S_zw, N_w = S_ww - Re S_zw; weights inverse to the noise in every cell (k, omega), the
-    noise fitted ring by ring as white in z and in the displacement. With gains H, S_zw / (H_z H_w) replaces
-    the elevation and N / H^2 for the noise, so that the weight passes at short waves to what resolves them;
-    H^2 of a ring is the mean over directions, weighted by the energy that w has in each. A gain S / (S + N)
-    that a run predicted is uncertain by a factor of 1.5 in S / N, which weights and intervals contain. It
-    assumes independent noises. On a current U, w is integrated at omega - k . U in every cell. A line of w
-    holds waves of its width, each of which the integration weights by its own frequency: the five lowest are
-    not valid, nor are lines that hold mostly what the window spreads from stronger ones.
+    S_zz and S_ww are the elevation spectra from z and w, and S_zw is their cross spectrum. The noises are
+    N_z = S_zz - Re S_zw and N_w = S_ww - Re S_zw, if they are independent. They are fitted in each ring of k
+    as white noise of z and of the displacement. Fusion weights z and w by their inverse noise in every cell
+    (omega, k). With gains H, the elevation spectrum is S_zw / (H_z H_w) and the noises are N / H^2, so short
+    waves come from the field that resolves them. H of a ring is averaged over directions, weighted by the
+    energy of w. A predicted gain is S / (S + N); weights and intervals assume that S / N is uncertain by a
+    factor of 1.5.
+
+    On a current U, w is integrated at omega - k . U in each cell. Within the five lowest lines the factor of
+    integration varies too much, so they are not valid for methods that use w. Lines of which most energy is
+    leakage from stronger lines are not valid either.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> t, y, x = np.arange(256) * 0.05, np.arange(20) * 0.05, np.arange(24) * 0.05
+    >>> phase = 12.3 * x - 10.98 * t[:, None, None] + 0 * y[:, None]
+    >>> z = 0.01 * np.cos(phase) + 1e-4 * rng.standard_normal(phase.shape)
+    >>> w = 0.1098 * np.sin(phase) * np.sinc(10.98 * 0.05 / 2 / np.pi)
+    >>> dims, axes = ("time", "y", "x"), {"time": t, "y": y, "x": x}
+    >>> cube = xr.Dataset({"z": (dims, z, {"units": "m"}), "w": (dims, w, {"units": "m s-1"})}, axes)
+    >>> Ez = fused_spectra(cube, current=(0.0, 0.0), segment=128).Ez
+    >>> variance = Ez.sel(source="stereo").sum() * float(Ez.omega[1])
+    >>> print(f"{float(variance / (0.01**2 / 2)):.1f}")
+    1.0
     """
     water = water_of(cube.attrs, depth)
     gain = None if gain is None else read_gain(gain)
@@ -462,7 +490,8 @@ def _fused(
     depth: float,
     gamma: float,
 ) -> xr.Dataset:
-    cross = ring_sums.pop("map z*w")  # large, and of no further use
+    """Product `fused`: as `fused_spectra`, from the sums of an analysis."""
+    cross = ring_sums.pop("map z*w")  # frees memory: no other product needs it
     zw = xr.DataArray(density(cross, welch), density_w.coords, density_w.dims)
     if gain is not None:
         gain = with_directions(gain, density_w.sum("omega"))
@@ -474,7 +503,7 @@ def _fused(
 
 
 def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str, float]) -> xr.Dataset:
-    """The spectra by method; lines in which filled nodes may show are not valid."""
+    """Elevation spectra by method, not valid in lines that interpolated nodes may dominate."""
     out = fused[BY_SOURCE].copy()
     step = float(ring["k"][1] - ring["k"][0])
     over_k = {name: ring["E"].sel(quantity=name).sum("k").values * step for name in NAMES}
@@ -485,6 +514,7 @@ def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str,
 
 
 def _fusion_group(fused: xr.Dataset) -> xr.Dataset:
+    """Group `fusion`: all results of `fused_spectra` except the spectra by method."""
     return fused.drop_vars(BY_SOURCE)
 
 

@@ -1,8 +1,8 @@
-"""Gains of averages, differences and matching windows in a spectrum, and their correction.
+"""Transfer functions of the measurement, and their correction in spectra.
 
-Gains of averages and differences are of power; b = omega dt / 2. The gain of the matching windows is
-predicted by the run from its recipe, or given: a Dataset over (direction, k) with ``gain_z``,
-``gain_u``, ``gain_v``, ``gain_w``, of amplitude, NaN where it is not known. Save one with ``gain.to_zarr``.
+Averages and differences over time steps have gains that depend on b = omega dt / 2. Matching windows average
+over space; their amplitude gain is a Dataset over (direction, k) with ``gain_z``, ``gain_u``, ``gain_v`` and
+``gain_w``, NaN where it is unknown. A run predicts it and stores it in the cube; users can give their own.
 """
 
 from pathlib import Path
@@ -21,16 +21,14 @@ from wavefield.waves.welch import k_coords
 Array = NDArray[Any]
 Values = TypeVar("Values", float, Array, xr.DataArray)
 
-MIN_SIGNAL_TO_NOISE = (
-    3.0  # of a cell, ring or band: noise that is off by a tenth then changes the waves by 3 %
-)
-MIN_AMPLITUDE = 0.5  # of a wave as measured: a correction is at most twofold
+MIN_SIGNAL_TO_NOISE = 3.0  # of a cell, ring or band: a noise wrong by a tenth changes the waves by 3 %
+MIN_AMPLITUDE = 0.5  # smallest gain that is corrected (chosen): a correction at most doubles the amplitude
 
 
 def path_factor(omega: Values, dt: float, frames: int) -> Values:
-    """Gain of a velocity from a path through several frames over that of one displacement; omega in rad/s.
-    It is w_0 + 2 w_1 cos(omega dt) + 2 w_2 cos(2 omega dt) with w from `PATH_WEIGHTS`; for instantaneous
-    velocities b / sin b, b = omega dt / 2.
+    """Amplitude gain of a velocity from several frames, relative to a displacement over one step.
+    With omega in rad/s and weights w from `PATH_WEIGHTS`, it is w_0 + 2 w_1 cos(omega dt) + 2 w_2
+    cos(2 omega dt). For instantaneous velocities it is b / sin b, b = omega dt / 2.
     """
     factor: Values
     if frames == INSTANTANEOUS:
@@ -47,8 +45,8 @@ def path_factor(omega: Values, dt: float, frames: int) -> Values:
 
 
 def noise_of_displacement(omega: Values, dt: float, frames: int) -> Values:
-    """Noise of the displacements over that of the elevation integrated from them, 4 sin^2 b.
-    Of instantaneous velocities times dt it is (2 b)^2.
+    """Noise spectrum of displacements, relative to that of the elevation integrated from them.
+    It is 4 sin^2 b, or (2 b)^2 for instantaneous velocities times dt.
     """
     twice: Any = omega * dt if frames == INSTANTANEOUS else 2 * np.sin(omega * dt / 2)
     factor: Values = twice**2
@@ -56,10 +54,10 @@ def noise_of_displacement(omega: Values, dt: float, frames: int) -> Values:
 
 
 def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
-    """Factor from z at mid-time to z at the step's first frame; ``frames`` is the cube's `path_frames`.
-    Measured z are interpolated from six frames, in a frame moving with the mean flow, in which a free wave
-    turns by sigma(k) dt = 2 b per frame: the gain of the polynomial through six frames at its middle,
-    (150 cos b - 25 cos 3b + 3 cos 5b) / 128, is undone up to a factor 2.
+    """Factor that converts the transform of z at mid-time to z at the step's first frame; k in rad/m.
+    A run interpolates z from six frames (``frames`` > 2) that move with the mean flow. A free wave turns by
+    2 b = sigma(k) dt per frame there, so interpolation has the gain (150 cos b - 25 cos 3b + 3 cos 5b) / 128.
+    It is corrected by at most a factor of 2.
     """
     start = np.exp(-0.5j * omega * dt)
     if frames <= 2:  # fields of another program
@@ -70,7 +68,7 @@ def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
 
 
 def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
-    """Factor from the spectrum of w to that of the elevation; infinite at omega = 0.
+    """Factor from the power spectrum of w to that of the elevation.
 
     Parameters
     ----------
@@ -79,18 +77,27 @@ def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
     dt : float
         Time between frames, s.
     frames : int
-        The cube's `path_frames`: 2 of a displacement, 4, 6 or 7 along a path, 1 of an instantaneous velocity.
+        Number of frames per velocity, ``path_frames`` of a cube: 2 for displacements, 4, 6 or 7 for paths, 1
+        for instantaneous velocities.
 
     Returns
     -------
     array_like
-        s2.
+        Factor, s2; infinite at omega = 0.
 
     Notes
     -----
-    (dt / 2)^2 / (sin b path_factor)^2 with b = omega dt / 2. For displacements between two frames, whose path
-    factor is 1, w dt is the difference of two elevations with the gain 2 i sin b; dividing by omega^2 would
-    be wrong by sinc^2 b. For instantaneous velocities the factor becomes 1 / omega^2.
+    The factor is (dt / 2)^2 / (p sin b)^2, with b = omega dt / 2 and the gain p of the path (`path_factor`).
+    For a displacement between two frames, p = 1: w dt is the difference of two elevations, whose gain is
+    2 i sin b, and a factor 1 / omega^2 would be wrong by sinc^2 b. It is right for instantaneous velocities.
+
+    Examples
+    --------
+    At 5 Hz and 20 frames/s, displacements need a larger factor than instantaneous velocities.
+
+    >>> omega = 2 * np.pi * 5
+    >>> print(f"{elevation_from_w(omega, 0.05, 2):.2e} {elevation_from_w(omega, 0.05, 1):.2e}")
+    1.25e-03 1.01e-03
     """
     with np.errstate(divide="ignore"):
         path: Any = path_factor(omega, dt, frames)
@@ -98,13 +105,13 @@ def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
     return factor
 
 
-DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
-CELLS_OF_WEIGHT = 2.0  # standard deviation over which directions are averaged along k
-PREDICTED = "linear theory"  # origin of a gain that is predicted
+DIRECTIONS = 8  # chosen: directions of k for which gains are stored, over half a turn
+CELLS_OF_WEIGHT = 2.0  # chosen: standard deviation, in cells of k, over which weights are smoothed
+PREDICTED = "linear theory"  # first words of the attribute `origin` of a predicted gain
 
 
 def label(gains: dict[str, Array], k: Array, origin: str) -> xr.Dataset:
-    """Turn arrays (DIRECTIONS, k) of amplitude gains into a gain."""
+    """Labelled gain from amplitude gains (DIRECTIONS, k) of several fields; k in rad/m."""
     out = {f"gain_{name}": (("direction", "k"), values) for name, values in gains.items()}
     coords = {"direction": np.arange(DIRECTIONS) * np.pi / DIRECTIONS} | k_coords(k)
     attrs = {"title": "gain of the matching windows", "origin": origin}
@@ -122,12 +129,18 @@ def read_gain(source: str | Path | xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``gain_z``, ``gain_w`` and, where present, ``gain_u``, ``gain_v`` (direction, k), of amplitude.
+        Amplitude gains ``gain_z``, ``gain_w`` and, where present, ``gain_u``, ``gain_v`` (direction, k).
 
     Raises
     ------
     StoreError
-        If it cannot be read or holds no gain of z and w.
+        If the store cannot be read, or the gain of z or w is missing.
+
+    Examples
+    --------
+    >>> gain = label({name: np.ones((DIRECTIONS, 3)) for name in "zw"}, np.arange(3.0), "measured")
+    >>> sorted(map(str, read_gain(gain)))
+    ['gain_w', 'gain_z']
     """
     if isinstance(source, xr.Dataset):
         gain = source
@@ -145,7 +158,7 @@ def read_gain(source: str | Path | xr.Dataset) -> xr.Dataset:
 def gain_of(
     cube: xr.Dataset, requested: str | Path | xr.Dataset | Literal[False] | None = None
 ) -> xr.Dataset | None:
-    """Gain for which spectra of a cube are corrected: the requested one, else that stored; none if False."""
+    """The requested gain, else the gain stored in a cube; None if False is requested or none is stored."""
     if requested is False:
         return None
     if requested is not None:
@@ -165,7 +178,7 @@ def is_predicted(gain: xr.Dataset) -> bool:
 
 
 def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Factor that corrects the power of a field for a gain, and where that can be done; k in rad/m."""
+    """Factor that corrects the power of a field for a gain, and where it is known, both (k,); k in rad/m."""
     if f"gain_{name}" not in gain:
         return np.ones_like(k), np.ones(k.shape, bool)
     power = ring_gain(gain, name, name, k)
@@ -174,8 +187,8 @@ def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np
 
 
 def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
-    """The gain with ``weight`` (direction, k): the fraction of the waves of a ring in each direction.
-    From the spectrum of w over (ky, kx); cameras near the horizon lose waves along the line of sight.
+    """Add ``weight`` (direction, k) to a gain: the fraction of the energy of each ring in each direction.
+    It is estimated from E(ky, kx) of w. Gains of oblique cameras depend much on direction.
     """
     ky, kx = np.meshgrid(plane_w["ky"].values, plane_w["kx"].values, indexing="ij")
     sectors, step = gain.sizes["direction"], float(gain["k"][1] - gain["k"][0])
@@ -191,12 +204,12 @@ def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
 
 
 def ring_gain(gain: xr.Dataset, one: str, other: str, k: Array) -> Array:
-    """Gain of a power or cross spectrum over rings (k in rad/m); without weights all directions count
-    equally.
+    """Gain of a power or cross spectrum of two fields, (k,), averaged over directions; k in rad/m.
+    Directions are weighted by ``weight``, or equally if the gain has none.
     """
     product = gain[f"gain_{one}"] * gain[f"gain_{other}"] * gain.get("weight", 1.0 / gain.sizes["direction"])
     product = product.sum("direction", skipna=False)
     known = np.isfinite(product.values)
-    # below the lowest ring as in it: windows do not affect waves longer than the rectangle
+    # constant below the lowest known k: windows hardly affect waves longer than the rectangle
     values = np.interp(k, product["k"].values[known], product.values[known], right=0.0)
     return np.where(k > product["k"].values[known].max(initial=0.0), 0.0, values)

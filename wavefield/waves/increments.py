@@ -1,4 +1,4 @@
-"""Structure functions: moments of the increments of a field in time and space, with their errors."""
+"""Structure functions: moments of the increments of a field in time and space, with uncertainties."""
 
 from typing import Any
 
@@ -16,21 +16,21 @@ from wavefield.waves.welch import Reader
 Array = NDArray[Any]
 
 ORDERS = np.arange(1, 7)
-STEP_DISTANCE_S = 0.2  # between the steps of differences in space: half a period of waves of 2.5 Hz
+STEP_DISTANCE_S = 0.2  # s between the steps whose increments in space are taken: half a period at 2.5 Hz
 _AXES = ("time", "y", "x")
 
 
 def lags(longest: int) -> Array:
-    """Lags in steps or nodes, (lags,): 1, 2, 3, 4, 6, 8, 12, ... up to the longest."""
+    """Lags 1, 2, 3, 4, 6, 8, 12, ... up to the longest, in steps or nodes, (lags,)."""
     doubled = 2 ** np.arange(0, 32)
     both = np.unique(np.concatenate([doubled, 3 * doubled]))
     return both[both <= longest]
 
 
 def powers_of_differences(values: Array, axis: int, lag: int, differences: int) -> Array:
-    """Number of a field's differences and the sums of |difference|^p, p = 1 to 6, (7,).
+    """Number of increments along an axis, and the sums of |increment|^p for p = 1 to 6, (7,).
 
-    Zeros where the field is too short.
+    ``differences`` is 1 or 2, for first or second differences. Zeros if the axis is shorter than the lag.
 
     Examples
     --------
@@ -52,7 +52,7 @@ def powers_of_differences(values: Array, axis: int, lag: int, differences: int) 
 
 
 def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[int, int]]]:
-    """Blocks of equal length within the runs, each several longest lags long if the record allows."""
+    """Cut the runs into blocks (start, stop, run), twice as long as the longest lag if there are enough."""
     steps = sum(b - a for a, b in record.runs)
     length = max(min(2 * longest, steps // MIN_BLOCKS), 2)
     return [(a, a + length, run) for run in record.runs for a in range(run[0], run[1] - length + 1, length)]
@@ -65,41 +65,41 @@ def structure_functions(
     differences: int = 1,
     record: Record | None = None,
 ) -> xr.Dataset:
-    """Structure functions of a field and the flatness of its increments, in time and along x and y.
-
-    Lags reach a 16th of the record, at most 10 s, and a third of the rectangle.
+    """Structure functions of a field and flatness of its increments, in time and along x and y.
 
     Parameters
     ----------
     field : DataArray, (time, y, x)
-        Any variable of a cube; s and m. Read once, in blocks of time; computed at once.
+        Any variable of a cube; time in s, x and y in m. A field on disk is read in pieces.
     differences : int
-        1 for f(s + r) - f(s); 2 for f(s + r) - 2 f(s) + f(s - r), needed for spectra steeper than the power
-        -3: a first difference is dominated there by the slope of the longest waves.
+        1 for increments f(s + r) - f(s); 2 for f(s + r) - 2 f(s) + f(s - r). Use 2 for spectra steeper than
+        the power -3, where the slope of the longest waves dominates first differences.
     record : Record, optional
-        Rectangle and runs; found from the field if not given.
+        Rectangle of nodes and uninterrupted runs of steps; by default found from the field.
 
     Returns
     -------
     Dataset
-        ``structure_time`` (lag_time, order), ``structure_x`` (lag_x, order), ``structure_y`` (lag_y, order):
-        mean of |difference|^p, p = 1 to 6, in the field's units to that power; ``flatness_time``,
-        ``flatness_x``, ``flatness_y``, S_4 / S_2^2, and the ``_std`` of all. Attributes ``differences``,
-        ``blocks``, ``gaussian_flatness`` (3).
+        ``structure_time`` (lag_time, order), ``structure_x`` (lag_x, order) and ``structure_y`` (lag_y,
+        order): S_p, the mean of |increment|^p for p = 1 to 6, in the field's units to the power p;
+        ``flatness_time``, ``flatness_x``, ``flatness_y``: S_4 / S_2^2; standard uncertainties ``_std`` of
+        all. Lags are in s and m. Attributes ``differences``, ``blocks``, ``gaussian_flatness`` (3).
 
     Raises
     ------
     CubeError
-        If the record holds fewer than eight blocks of two steps, or ``differences`` is neither 1 nor 2.
+        If the record contains fewer than eight blocks of two steps, or ``differences`` is neither 1 nor 2.
 
     Notes
     -----
-    The null is a Gaussian field: flatness 3 at every lag, and S_p proportional to S_2^(p/2). Intermittency is
-    a flatness that rises above 3 by more than its error as the lag falls (Falcon, Fauve and Laroche 2007, who
-    take second differences of wave heights). Waves bound to others raise it too. In time at points 8 cm
-    apart, in space at steps 0.2 s apart, along complete rows and columns. Uncertainties: bootstrap of blocks
-    of time with all points in them, 500 draws. Noise of single nodes dominates the shortest lags and is
-    Gaussian: check S_2 before the flatness.
+    Lags reach a sixteenth of the record, at most 10 s, and a third of the rectangle. Increments in time are
+    taken at points 8 cm apart, those in space at steps 0.2 s apart along complete rows and columns. The
+    uncertainties are from a bootstrap with 500 draws over blocks of time.
+
+    A Gaussian field has flatness 3 at every lag, and S_p proportional to S_2^(p/2). Intermittency is a
+    flatness that rises significantly above 3 towards short lags (Falcon, Fauve and Laroche, Phys. Rev. Lett.
+    98 (2007) 154501, for second differences of wave heights). Bound waves raise the flatness, too. The noise
+    of single nodes is Gaussian and dominates the shortest lags: look at S_2 first.
 
     Examples
     --------
@@ -155,7 +155,7 @@ def structure_functions(
 
 
 def _moments(sums: Array) -> tuple[Array, Array]:
-    """Structure functions (..., lags, orders) and flatness (..., lags)."""
+    """Structure functions (..., lags, orders) and flatness (..., lags), from numbers and sums of powers."""
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = sums[..., 1:] / sums[..., :1]
         return mean, mean[..., 3] / mean[..., 1] ** 2

@@ -1,9 +1,8 @@
-"""What estimators are given: one rule for all, applied before anything is computed; cubes of fields.
+"""Checks of the first argument of every estimator, and `cube`, which makes a cube of labelled fields.
 
-Estimators of one field take that field, (time, y, x). Estimators of the surface take a cube. Estimators of
-the dispersion relation take a spectrum E(omega, ky, kx), or a cube or a field of which they compute it.
-Depth, surface tension and degrees of freedom that are not given are read from the input: from the attributes
-of a cube, from the coordinates of a field or a spectrum.
+Some estimators take a field over (time, y, x), others a cube. Those of the dispersion relation take a
+spectrum E(omega, ky, kx), or a cube or field whose spectrum they compute. Depth, surface tension and degrees
+of freedom are read from the input if the caller does not give them.
 """
 
 import functools
@@ -23,12 +22,12 @@ from wavefield.waves.record import check_axes
 from wavefield.waves.welch import VELOCITY, frames_of_meaning, with_stated
 
 Estimator = TypeVar("Estimator", bound=Callable[..., Any])
-# of what an estimator is given: what it works on, and the parameters that the input states
+# converts an argument to the object that an estimator works on, and the parameters stored in the argument
 Convert = Callable[[Any, str], tuple[Any, dict[str, Any]]]
 
 
 def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
-    """Decorator: convert the first argument of an estimator; missing parameters are read from the input."""
+    """Decorator that converts the first argument of an estimator and reads missing parameters from it."""
 
     def decorate(estimator: Estimator) -> Estimator:
         signature = inspect.signature(estimator)
@@ -49,7 +48,7 @@ def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
 
 
 def described(given: object) -> str:
-    """A short description of the input, for messages."""
+    """Describe an argument in a few words, for error messages."""
     if isinstance(given, xr.DataArray):
         return f"a variable over {', '.join(map(str, given.dims)) or 'nothing'}"
     if isinstance(given, xr.Dataset):
@@ -59,17 +58,17 @@ def described(given: object) -> str:
 
 
 def is_field(given: object) -> bool:
-    """Whether something is a variable over time, y and x."""
+    """Whether an argument is a DataArray over time, y and x."""
     return isinstance(given, xr.DataArray) and set(given.dims) == set(CUBE_DIMS)
 
 
 def is_cube(given: object) -> bool:
-    """Whether something is a Dataset with the axes of a cube."""
+    """Whether an argument is a Dataset with the dimensions of a cube."""
     return isinstance(given, xr.Dataset) and set(CUBE_DIMS) <= set(given.dims)
 
 
 def water_parameters(given: Any) -> dict[str, float]:
-    """Depth and surface tension over density stated by a cube, field or spectrum; empty if none."""
+    """Depth and surface tension over density that a cube, field or spectrum carries; empty if none."""
     stated = {name: given.coords[name].item() for name in WATER if name in given.coords}
     stated |= stated_water(given.attrs)
     if not stated:
@@ -79,14 +78,12 @@ def water_parameters(given: Any) -> dict[str, float]:
 
 
 def keep_water(out: xr.Dataset, given: xr.DataArray) -> xr.Dataset:
-    """A result with the water's coordinates of the field it came from."""
+    """Copy the coordinates for depth and surface tension from a field to its result."""
     return out.assign_coords({name: given.coords[name] for name in WATER if name in given.coords})
 
 
 def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
-    """The input and its water parameters if it is a field; otherwise an error that says what it is.
-    ``name`` is the calling function, for the message.
-    """
+    """Return a field and its water parameters; raise CubeError naming the estimator if it is not a field."""
     if not isinstance(given, xr.DataArray):
         raise CubeError(
             f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"
@@ -95,7 +92,7 @@ def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
 
 
 def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """The input if it is a cube; else raises an error that describes it."""
+    """Return a cube; raise CubeError naming the estimator if the argument is not a cube."""
     if isinstance(given, str | Path):
         raise CubeError(f"{name} needs a cube, not its path; use wavefield.open_cube({str(given)!r})")
     if not is_cube(given):
@@ -106,7 +103,7 @@ def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
     return given, {}
 
 
-SPLINE_DEGREE = 7  # of the rate of rise: true to 0.3 % at four steps a period
+SPLINE_DEGREE = 7  # its derivative is correct to 0.3 % for waves of four steps a period
 
 
 def cube(
@@ -120,20 +117,20 @@ def cube(
     depth: float | None = None,
     **attrs: object,
 ) -> xr.Dataset:
-    """Make a cube of labelled fields, of another program or a model, for every estimator of this package.
+    """Make a cube from the fields of a model or of another program, for the estimators of this package.
 
     Parameters
     ----------
     z : DataArray, (time, y, x)
-        Elevation, m, at regular steps; ``time`` in seconds (or dates), ``x`` and ``y`` in metres. Units other
-        than these are converted where the attribute ``units`` states them.
+        Elevation, m, at regular steps; ``time`` in seconds (or dates), ``x`` and ``y`` in metres. Other units
+        are converted if the attribute ``units`` names them.
     u, v, w : DataArray, (time, y, x), optional
         Velocity of the water at the surface, m/s, at the same nodes and times.
     velocity : {"instantaneous", "displacement"}
-        What the velocities are: those at an instant, as a model has them, or displacements over one step,
-        centred on its middle and divided by it, as a correlation of two frames gives them.
+        ``instantaneous`` for the velocities of a model; ``displacement`` for displacements between two
+        frames, divided by the time between them, as image correlation measures them.
     z_t : DataArray, (time, y, x), optional
-        Rate of rise at a fixed node, m/s. By default, for instantaneous velocities, the derivative of z.
+        Rate of rise at a fixed node, m/s; by default the time derivative of z. Required with displacements.
     depth : float, optional
         Depth of the water, m; deep water if not given.
     **attrs
@@ -142,21 +139,21 @@ def cube(
     Returns
     -------
     Dataset
-        The fields with their units, ``path_frames`` (1 of instantaneous velocities, 2 of displacements), and
-        the attributes ``velocity``, ``frame_rate``, Hz, and ``water_depth``, m, which is a coordinate as
-        well: ``cube.w`` keeps it. Lazy where the fields are.
+        The fields with their units; ``path_frames``, the number of frames per velocity (1 for instantaneous
+        velocities, 2 for displacements); attributes ``velocity``, ``frame_rate`` (Hz) and ``water_depth``
+        (m). The depth is also a coordinate, so that ``cube.w`` keeps it. Lazy if the fields are.
 
     Raises
     ------
     CubeError
-        If a field is of other dimensions, nodes, times or units, steps are unequal, or `z_t` is missing and
-        cannot be derived from z.
+        If the fields differ in dimensions, nodes or times, a unit is unknown, steps are unequal, or `z_t` is
+        missing and z has gaps.
 
     Notes
     -----
-    A displacement over dt holds sin(b) / b of the velocity of a wave, b = omega dt / 2, 18 % less energy at
-    5 Hz in 20 frames/s, which spectra undo; nothing is undone for instantaneous velocities. The derivative of
-    z is that of a spline of seventh degree through all steps.
+    A displacement over dt contains the fraction sin(b) / b of a wave's velocity, with b = omega dt / 2: at
+    5 Hz and 20 frames/s the energy is 18 % too low. The elevation spectra correct this for displacements, and
+    not for instantaneous velocities. z_t is the derivative of an interpolating spline of degree seven.
 
     Examples
     --------
@@ -206,7 +203,7 @@ def cube(
 
 
 def _seconds(name: str, field: object) -> xr.DataArray:
-    """A field with time in seconds; dates are counted from the first."""
+    """Convert the times of a field to seconds; dates become seconds since the first."""
     if not isinstance(field, xr.DataArray):
         raise CubeError(f"{name!r} is a {type(field).__name__}: give a DataArray over time, y and x")
     if "time" in field.coords and field["time"].dtype.kind in "mM":
@@ -217,7 +214,7 @@ def _seconds(name: str, field: object) -> xr.DataArray:
 
 
 def _rate(z: xr.DataArray) -> xr.DataArray:
-    """Derivative of z in time, m/s; NaN at nodes that are never measured."""
+    """Time derivative of z, m/s; NaN at nodes that are never measured. Raises CubeError at gaps."""
     t = z["time"].values.astype(float)
 
     def derive(values: np.ndarray) -> Any:
@@ -226,7 +223,7 @@ def _rate(z: xr.DataArray) -> xr.DataArray:
         there = np.isfinite(flat)
         complete = there.all(axis=0)
         if (there.any(axis=0) & ~complete).any():
-            raise CubeError("z has gaps, across which its rate of rise is not known: give z_t, or fill them")
+            raise CubeError("z has gaps, so its time derivative is unknown there: give z_t, or fill the gaps")
         degree = min(SPLINE_DEGREE, (t.size - 1) | 1)
         if complete.any():
             out[:, complete] = make_interp_spline(t, flat[:, complete], degree).derivative()(t)

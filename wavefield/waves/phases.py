@@ -1,4 +1,4 @@
-"""Phase averages: the part of the waves that repeats with a known period, as of a wave maker."""
+"""Averages over the phase of waves of known period, such as those of a wave maker."""
 
 from typing import Any
 
@@ -14,8 +14,8 @@ from wavefield.waves.welch import Reader
 
 Array = NDArray[Any]
 
-MIN_PERIODS = 4  # fewer do not tell what repeats from other waves of nearly the same period
-HARMONICS = 3  # the third of Stokes waves has 3/8 (k a)^2 of the first: 3 % at k a = 0.3
+MIN_PERIODS = 4  # chosen: fewer cannot be separated from other waves of nearly the same period
+HARMONICS = 3  # of Stokes waves, the third has 3/8 (k a)^2 of the first: 3 % at k a = 0.3
 
 
 @takes(a_cube)
@@ -26,38 +26,40 @@ def phase_average(
     phases: int = 24,
     record: Record | None = None,
 ) -> xr.Dataset:
-    """Average a cube over the phase of a wave of known period.
+    """Average a cube over the phase of waves of known period.
 
     Parameters
     ----------
     cube : Dataset
-        z and, where present, z_t, u, v, w over (time, y, x), m and m/s. Read once, in pieces; computed at
-        once.
+        z and, where present, z_t, u, v, w over (time, y, x), m and m/s. A cube on disk is read in pieces.
     period : float
-        Period of the wave maker, s; phase 0 is at time 0 of the cube.
+        Period of the waves, s. Phase 0 is at time 0 of the cube.
     phases : int
-        Number of phases of a period.
+        Number of phases per period.
     record : Record, optional
-        Rectangle and runs; found from the cube if not given.
+        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
 
     Returns
     -------
     Dataset
-        Each field over (phase, y, x), ``<field>_std`` its standard uncertainty and ``<field>_rest`` (y, x),
-        the standard deviation in time of what is not periodic; ``phase``, rad; ``steps`` (phase), how many
-        were averaged; ``harmonic_amplitude`` (harmonic, y, x), m, of the first three harmonics of z below the
-        Nyquist frequency, and ``harmonic_phase``, rad. Attribute ``period``, s.
+        Each field averaged over (phase, y, x), in its own units; ``<field>_std``, its standard uncertainty;
+        ``<field>_rest`` (y, x), the standard deviation in time of the part that does not repeat; ``phase``,
+        rad; ``steps`` (phase), the number of steps averaged; ``harmonic_amplitude``, m, and
+        ``harmonic_phase``, rad, (harmonic, y, x), of the first three harmonics of z, NaN from about the
+        Nyquist frequency on. Attribute ``period``, s.
 
     Raises
     ------
     CubeError
-        If the record holds fewer than four periods, or a phase holds fewer than two steps.
+        If the cube has no z, the record contains fewer than four periods, the period is not longer than two
+        steps, or a phase contains fewer than two steps.
 
     Notes
     -----
-    A step contributes to the phases on either side of it, linearly. Averages over cells of phase of width d
-    hold sin(n d / 2) / (n d / 2), squared, of harmonic n; ``harmonic_amplitude``, fitted to all steps, holds
-    all of it. The uncertainty is that of independent periods.
+    Each step contributes to the two nearest phases, with linear weights. Phases a distance d apart therefore
+    contain the fraction (sin(n d / 2) / (n d / 2))^2 of harmonic n. ``harmonic_amplitude`` is fitted to all
+    steps and contains all of it. The uncertainty assumes that the non-repeating parts of steps are
+    independent.
 
     Examples
     --------
@@ -91,9 +93,9 @@ def phase_average(
     weights = phase_weights(angle, phases)
     if (weights > 0).sum(axis=0).min() < 2:
         raise CubeError(
-            f"{phases} phases are more than the steps fall on: choose fewer (steps are {record.dt:g} s)"
+            f"some of the {phases} phases have fewer than two steps of {record.dt:g} s: choose fewer phases"
         )
-    # harmonics beyond the Nyquist frequency equal others at the steps
+    # harmonics beyond the Nyquist frequency are aliases of others
     count = min(HARMONICS, int(0.95 * period / (2 * record.dt)))
     harmonics = [f(n * angle) for n in range(1, count + 1) for f in (np.cos, np.sin)]
     design = np.column_stack([np.ones(time.size), *harmonics])
@@ -113,7 +115,7 @@ def phase_weights(angle: Array, phases: int) -> Array:
 
 
 def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict[str, Array]:
-    """Sums over steps of each field times weights and times the design matrix, and of its square."""
+    """Sums over steps of each field times the weights, times the design matrix, and squared."""
     sums: dict[str, Array] = {}
     first = 0
     for run in read.record.runs:
@@ -137,9 +139,10 @@ def _label(
     design: Array,
     sums: dict[str, Array],
 ) -> xr.Dataset:
+    """Labelled averages, uncertainties and harmonics from the sums over steps."""
     total = weights.sum(axis=0)
     count, phases = weights.shape
-    # of a mean with these weights, of steps as independent as they are
+    # effective number of steps in a weighted mean
     independent = (total**2 / (weights**2).sum(axis=0))[:, None, None]
     normal = np.linalg.inv(design.T @ design)
     dims = ("phase", "y", "x")

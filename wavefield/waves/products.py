@@ -1,8 +1,9 @@
-"""The registry of what an analysis computes: a product is one file that registers what it needs and gives.
+"""Registry of the results that an analysis computes, called products.
 
-`wavefield.waves.analysis` starts from the values of `GIVEN`, runs every product whose inputs are there,
-and puts those that name a group into the wave store. A new product is one module of this room (or one that a
-user imports before the analysis), with for example
+Each product names its inputs and the function that computes it. `wavefield.waves.analysis` starts from the
+values in `GIVEN` and computes every product as soon as its inputs are known. Products that name a group are
+written to the wave store. To add a product, write a module in this folder (or import your own module before
+the analysis) that calls, for example,
 
     register(WaveProduct("skewness", ("density_w", "depth"), skewness_group, group="statistics"))
 """
@@ -19,51 +20,50 @@ from wavefield.errors import CubeError
 from wavefield.variables import Variable
 from wavefield.variables import register as register_variables
 
-# values that every analysis has, before it computes products
+# values that the analysis provides, each with its meaning
 GIVEN = {
     "cube": "the fields z, z_t, u, v, w, m and m/s",
-    "complete_cube": "the cube as it was given, with all its variables and attributes",
-    "each": "what does work on workers, or None",
-    "depth": "of the water, m",
+    "complete_cube": "the cube as the user gave it, with all its variables and attributes",
+    "each": "map function that computes on the workers, or None",
+    "depth": "water depth, m",
     "gamma": "surface tension over density, m3/s2",
-    "gain": "of the matching windows, or None",
+    "gain": "amplitude gain of the matching windows, or None",
     "probes": "wave probes, or None",
-    "filled": "what filled nodes add to E(omega) of z and w at most, by name",
-    "given_current": "of the water, m/s, used where the fit is refused, or None",
-    "map_frequencies": "of the maps E(ky, kx), Hz",
-    "welch": "the record, its segments and rings",
+    "filled": "upper limit of E(omega) added by interpolated nodes, for z and w",
+    "given_current": "current, m/s, that is used if the fit is refused, or None",
+    "map_frequencies": "frequencies of the maps E(ky, kx), Hz",
+    "welch": "the record, its Welch segments and the rings of its k plane",
     "mean_current": "means of u and v, and their standard uncertainties, m/s",
-    "pairs": "fields whose cross spectra the pass over the cube has summed",
-    # from the pass over the cube: products without these are computed, and their errors raised, before it
-    "ring_sums": "powers and products over rings, and planes",
+    "pairs": "pairs of fields whose cross spectra were summed",
+    # Results of the pass over the whole cube. Products that need none of them are computed before that pass,
+    # so that their errors are raised early
+    "ring_sums": "powers and cross products, summed over rings and over single cells of the k plane",
     "scale": "rough mean and standard deviation of each field",
-    "survey_sums": "powers and counts of values about these",
-    "balance_rows": "of the kinematic balance",
-    "point_series": "w at points far apart, (time, points)",
+    "survey_sums": "sums of powers, and histograms, of the fields in units of `scale`",
+    "balance_rows": "rms of the terms of the kinematic condition at some steps",
+    "point_series": "w at distant points, (time, points)",
 }
 
 
 @dataclass(frozen=True)
 class WaveProduct:
-    """One result of an analysis: the function that computes it, and the names of its inputs."""
+    """A result of an analysis: the function that computes it, and the names of its inputs."""
 
     name: str
-    inputs: tuple[str, ...]  # names of given values or of other products
-    # Function of the inputs, in their order. It gives a value, None if there is none, or either with notes
-    # (`Noted`). A product is left out where one of the products among its inputs has no value
+    inputs: tuple[str, ...]  # names in `GIVEN`, or of other products
+    # Called with the inputs in order; returns a value, None if the record allows none, or a `Noted`. A
+    # product is left out if another product among its inputs has no value
     compute: Callable[..., Any]
-    group: str = ""  # of the wave store that its variables belong to; empty: other products use the value
-    variables: tuple[Variable, ...] = ()  # rows that the table of `wavefield.variables` lacks
-    pairs: tuple[tuple[str, str], ...] = ()  # fields whose cross spectra the pass has to sum
-    planes: tuple[
-        str, ...
-    ] = ()  # fields, or pairs "a*b", that the pass has to sum without averaging over angle
-    without: str = ""  # beginning of the note where the record does not allow it; empty: the analysis fails
-    cost: int = 0  # 0: quick; others are computed on workers, the largest first
+    group: str = ""  # group of the wave store; empty if only other products use the value
+    variables: tuple[Variable, ...] = ()  # its variables that are not in the table of `wavefield.variables`
+    pairs: tuple[tuple[str, str], ...] = ()  # pairs of fields whose cross spectra it needs
+    planes: tuple[str, ...] = ()  # fields, or pairs "a*b", that it needs for single cells of the k plane
+    without: str = ""  # first words of the note if `compute` raises CubeError; empty: the analysis fails
+    cost: int = 0  # 0: computed at once; others on the workers, the largest first
 
 
 class Noted(NamedTuple):
-    """A value with notes for the user."""
+    """A value, or None, with notes for the user."""
 
     value: Any
     notes: Sequence[str]
@@ -73,7 +73,7 @@ _REGISTRY: dict[str, WaveProduct] = {}
 
 
 def register(*products: WaveProduct) -> None:
-    """Add products to the registry."""
+    """Add products to the registry; raises ValueError if a name is taken."""
     for product in products:
         if product.name in GIVEN or _REGISTRY.setdefault(product.name, product) != product:
             raise ValueError(f"there is a product or a given value {product.name!r} already")
@@ -81,7 +81,7 @@ def register(*products: WaveProduct) -> None:
 
 
 def registered() -> list[WaveProduct]:
-    """All products of this room, and those that were registered before."""
+    """Import all modules of this package and return every registered product."""
     package = importlib.import_module(__package__)
     for module in pkgutil.walk_packages(package.__path__, f"{__package__}."):
         importlib.import_module(module.name)
@@ -91,10 +91,10 @@ def registered() -> list[WaveProduct]:
 def compute_ready(
     waiting: list[WaveProduct], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
 ) -> dict[str, Sequence[str]]:
-    """Compute all products whose inputs are available, add them to the values, return their notes."""
+    """Compute all waiting products whose inputs are known. Adds them to `values` and returns their notes."""
     notes: dict[str, Sequence[str]] = {}
     while ready := [product for product in waiting if all(name in values for name in product.inputs)]:
-        # all that is quick first, so that as many as possible of the others are computed side by side
+        # quick products first, so that as many as possible of the others can run in parallel
         batch = [product for product in ready if not product.cost] or sorted(ready, key=lambda p: -p.cost)
         work = map if each is None or not batch[0].cost else each
         jobs = [(p.compute, [values[name] for name in p.inputs], p.without) for p in batch]

@@ -1,4 +1,8 @@
-"""E(ky, kx) of z and w at chosen frequencies."""
+"""Power spectra of a field: E(omega, ky, kx), E(k, omega), E(omega) and E(k), by Welch's method.
+
+Fields are transformed in space step by step, then in time segment by segment. Transforms hold only kx >= 0:
+the spectrum of a real field is symmetric.
+"""
 
 from collections.abc import Sequence
 from functools import partial
@@ -55,7 +59,7 @@ Array = NDArray[Any]
 
 
 def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """E(k, omega): as given, or computed from a field."""
+    """Return E(k, omega) as given, or computed from a field; raise CubeError for anything else."""
     if is_field(given):
         return komega(given), {}
     if isinstance(given, xr.Dataset) and "E" in given and {"omega", "k"} <= {*given["E"].dims}:
@@ -67,16 +71,19 @@ def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
 
 
 def _name(field: xr.DataArray) -> str:
+    """Name of a field for the attributes of its spectra."""
     return str(field.attrs.get("long_name", field.name))
 
 
 def _transform(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
+    """Spatial transform, (cells, steps), of half a segment of the field."""
     return {"f": transform_space(blocks.pop(), memory.get("f"))}
 
 
 def _add_powers(
     sums: dict[str, Array], first: dict[str, Array], second: dict[str, Array], begin: int
 ) -> None:
+    """Add the power, (cells, n), of the segment made of two halves, to ``sums``."""
     cells, half = first["f"].shape
     power = np.zeros((cells, 2 * half), first["f"].real.dtype)
     transform = TimeTransform(half, first["f"].dtype)
@@ -86,8 +93,8 @@ def _add_powers(
 
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
-    """Power on the half plane, one-sided in omega on the full plane (n // 2 + 1, ny, nx), k ascending.
-    cos(k . x - omega t), k to where the wave goes, is at (k, -omega) and (-k, omega) in numpy's transform.
+    """Convert power on kx >= 0, (cells, n), to omega >= 0 on the whole plane, (n // 2 + 1, ny, nx).
+    k is ascending and points where waves go: numpy's transform has cos(k . x - omega t) at (k, -omega).
     """
     n = power.shape[-1]
     power = power.reshape(ny, nx // 2 + 1, n)
@@ -103,7 +110,7 @@ def unfold(power: Array, ny: int, nx: int) -> Array:
 
 
 def density(power: Array, welch: Welch) -> Array:
-    """E(ky, kx, omega) from summed powers on the half plane, (omega, ky, kx)."""
+    """E, (omega, ky, kx), from powers on kx >= 0, (cells, n), summed over segments."""
     values = unfold(power, *welch.record.shape)
     values *= power.dtype.type(welch.density)
     return values
@@ -111,35 +118,37 @@ def density(power: Array, welch: Welch) -> Array:
 
 @takes(a_field)
 def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record | None = None) -> xr.Dataset:
-    """Power spectrum E(ky, kx, omega).
+    """Power spectrum E(omega, ky, kx) of a field.
 
     Parameters
     ----------
     field : DataArray, (time, y, x)
-        Any variable of a cube; s and m. Lazy input gives a lazy result.
+        Any variable of a cube; time in s, x and y in m.
     segment : int, optional
-        Steps of a Welch segment; chosen from the record if not given.
+        Steps of a Welch segment; by default chosen from the record.
     record : Record, optional
-        Rectangle and runs (`find_record`); found from the field if not given.
+        Rectangle of nodes and uninterrupted runs of steps (`find_record`); by default found from the field.
 
     Returns
     -------
     Dataset
-        ``E`` (omega, ky, kx), ``dof``, and the factors ``low`` and ``high`` of the 95 % interval.
+        ``E`` (omega, ky, kx), in the field's units squared per (rad/m)^2 and rad/s; its degrees of freedom
+        ``dof``. ``low`` and ``high`` times E are the limits of the 95 % interval.
 
     Raises
     ------
     CubeError
-        If the record is shorter than a segment, its axes are uneven or no full rectangle is left.
+        If the record is shorter than a segment, its axes are uneven or no rectangle is fully measured.
 
     Notes
     -----
-    E = dt dy dx / ((2 pi)^3 sum W^2) <|FFT(W f)|^2>, twice that for 0 < omega < Nyquist: the sum of
-    E domega dkx dky is <W^2 f^2> / <W^2>.
+    E = dt dy dx / ((2 pi)^3 sum W^2) <|FFT(W f)|^2>, with the Hann window W in time, y and x, the mean <>
+    over segments that overlap by half, and a factor 2 for 0 < omega < Nyquist. The sum of E domega dkx dky
+    is the weighted variance <W^2 f^2> / <W^2>. The mean and trend in time are removed.
 
     Examples
     --------
-    A wave of 1 cm amplitude along x; its variance is half the square of that.
+    A wave of amplitude a = 1 cm along x has the variance a^2 / 2.
 
     >>> t, y, x = np.arange(128) * 0.05, np.arange(32) * 0.05, np.arange(40) * 0.05
     >>> wave = 0.01 * np.cos(12.3 * x - 10.98 * t[:, None, None] + 0 * y[:, None])
@@ -159,7 +168,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
 
 
 def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dataset:
-    """Labelled E(ky, kx, omega) of a field from values (omega, ky, kx)."""
+    """Add coordinates, degrees of freedom and units to the values (omega, ky, kx) of a spectrum."""
     low, high = interval(welch.dof)
     parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}
     out = xr.Dataset(parts, coords=omega_coords(welch.omega) | welch.plane, attrs=welch.attrs)
@@ -169,17 +178,17 @@ def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dat
 
 
 def total(density: xr.DataArray) -> xr.DataArray:
-    """Integrate a spectrum over all its axes (omega, k, ky, kx): the variance.
+    """Integrate a spectrum over omega, k, ky and kx, which gives the variance of the field.
 
     Parameters
     ----------
     density : DataArray
-        Any spectrum of this package.
+        Spectrum over any of omega, k, ky and kx.
 
     Returns
     -------
     DataArray
-        Sum times the cell.
+        Sum over these axes times their steps, in the field's units squared.
     """
     out = density
     for name in ("omega", "k", "ky", "kx"):
@@ -189,13 +198,13 @@ def total(density: xr.DataArray) -> xr.DataArray:
 
 
 def _transform_and_points(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
-    """The transform in space, and the values of some nodes, (nodes, steps)."""
+    """Spatial transform of half a segment, and the values at some nodes, (nodes, steps)."""
     points = some_nodes(blocks[0])
     return {"f": transform_space(blocks.pop(), memory.get("f")), "points": points}
 
 
 def _transform_and_nodes(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
-    """The spatial transform, and the node values with two nodes as one complex number, (pairs, steps)."""
+    """As `_transform_and_points`, and the values of all nodes, two per complex number, (pairs, steps)."""
     flat = blocks[0].reshape(blocks[0].shape[0], -1)
     pairs = np.ascontiguousarray(flat[:, : flat.shape[1] // 2 * 2])  # an odd node is left out
     nodes = pairs.view(np.result_type(pairs.dtype, np.complex64)).T
@@ -203,7 +212,7 @@ def _transform_and_nodes(blocks: list[Array], link: Link, memory: dict[str, Arra
 
 
 def _powers_of_nodes(first: Array, second: Array) -> Array:
-    """Power of a segment, one-sided in omega, summed over nodes, (n // 2 + 1,), from pairs of nodes."""
+    """Power of a segment for omega >= 0, summed over nodes, (n // 2 + 1,), from pairs of nodes."""
     half = first.shape[1]
     transform, sums = TimeTransform(half, first.dtype), np.zeros((CELLS, 2 * half))
     for slab in slabs(first.shape[0]):
@@ -216,6 +225,7 @@ def _powers_of_nodes(first: Array, second: Array) -> Array:
 def _add_ring_powers(
     table: rings.Rings, sums: dict[str, Array], first: dict[str, Array], second: dict[str, Array], begin: int
 ) -> None:
+    """Add the power of a segment, summed over rings of the k plane, and the values for its variance."""
     cells, half = first["f"].shape
     power = np.zeros((2, table.k.size, half + 1))
     transform = TimeTransform(half, first["f"].dtype)
@@ -242,28 +252,32 @@ def komega(
     Parameters
     ----------
     field : DataArray, (time, y, x)
-        Any variable of a cube; s and m. Lazy input gives a lazy result, taken in one pass in bounded memory.
+        Any variable of a cube; time in s, x and y in m. A field on disk is read in pieces.
     segment : int, optional
-        Steps of a Welch segment; chosen from the record if not given.
+        Steps of a Welch segment; by default chosen from the record.
     record : Record, optional
-        Rectangle and runs (`find_record`); found from the field if not given, which reads it once more.
+        Rectangle of nodes and uninterrupted runs of steps (`find_record`). By default it is found from the
+        field, which is then read twice.
 
     Returns
     -------
     Dataset
-        ``E``, ``dof``, ``low``, ``high``, ``valid`` (omega, k); ``coverage``, ``cells`` (k). The azimuthal
-        mean is E / (2 pi k coverage). ``E_nodes`` (omega): mean over all nodes, where none is missing.
+        Over (omega, k): ``E``, in the field's units squared per rad/m and rad/s; its degrees of freedom
+        ``dof``; ``low`` and ``high``, which times E are the limits of the 95 % interval; ``valid``. Over k:
+        ``coverage``, the fraction of each ring that the grid samples, and ``cells``, the number of its
+        cells. If no node is missing, ``E_nodes`` (omega), the mean of the spectra of all nodes.
 
     Raises
     ------
     CubeError
-        If the record is shorter than a segment, its axes are uneven or no full rectangle is left.
+        If the record is shorter than a segment, its axes are uneven or no rectangle is fully measured.
 
     Notes
     -----
-    Each cell of the k plane is shared between rings by area, so energy is conserved to rounding; the corners
-    beyond the Nyquist wavenumber of the axes are kept, and ``coverage`` is the part of a ring that they fill.
-    The degrees of freedom follow from the data: waves from few directions have fewer.
+    E is the integral of `spectrum` over rings of |k|. Each cell of the k plane is divided between rings by
+    area, so energy is conserved. Rings beyond the Nyquist wavenumber of the axes lie in the corners of the
+    plane; their coverage is below 1. The mean over directions is E / (2 pi k coverage). The degrees of
+    freedom are estimated from the data, because waves from few directions have fewer.
 
     Examples
     --------
@@ -277,7 +291,7 @@ def komega(
     welch = Welch.of(field, segment, record)
     table = welch.table
     add_powers = partial(_add_ring_powers, table)
-    # nodes are filled less well at the edges, where the window in space has little weight
+    # interpolated nodes near the edges are less accurate; only the spatial window gives them little weight
     transform = _transform_and_points if welch.record.holes else _transform_and_nodes
     summed = sum_segments([field], welch.record, welch.segment, transform, add_powers).compute()
     freedom = ring_freedom(summed, "f", welch)
@@ -302,7 +316,7 @@ def komega(
 
 
 def _attrs_of_sum(given: xr.DataArray | xr.Dataset, axis: str) -> dict[str, Any]:
-    """Name and units of E(omega) or E(k), from those of the field whose E(k, omega) is given."""
+    """Attributes of E(omega) or E(k), with the name and units of the field."""
     if "field" not in given.attrs:  # several quantities of an analysis
         return TABLE[f"spectra/E_{axis}"].attrs
     return TABLE[f"{axis}/E"].of(given.attrs["field"], density_units(given.attrs["field_units"], axis))
@@ -310,7 +324,7 @@ def _attrs_of_sum(given: xr.DataArray | xr.Dataset, axis: str) -> dict[str, Any]
 
 @takes(a_komega)
 def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
-    """Spectrum E(omega) of a field, with its 95 % interval.
+    """Frequency spectrum E(omega) of a field, with its 95 % interval.
 
     Parameters
     ----------
@@ -320,20 +334,21 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``E`` (omega), the mean spectrum over all nodes (where some are missing, weighted by the squared
-        window); ``dof``, ``low``, ``high`` and ``valid`` (omega). A dimension ``quantity`` is kept.
+        Over omega: ``E``, in the field's units squared per rad/s; its degrees of freedom ``dof``; ``low`` and
+        ``high``, which times E are the limits of the 95 % interval; ``valid``. A dimension ``quantity``
+        of the input is kept.
 
     Raises
     ------
     CubeError
-        If it is given something else, or the record is too short.
+        If the input is neither a field nor a result of `komega`, or the record is too short.
 
     Notes
     -----
-    That of an analysis is the integral of E(k, omega), weighted by the squared window: its variance is up to
-    twice as large.
-    The degrees of freedom follow from the variance between the segments; with fewer than four of those from
-    the degrees of the rings and the distribution of the energy over them.
+    E is the mean of the spectra of all nodes. If nodes are missing, it is the integral of E(k, omega) over k,
+    in which the squared spatial window weights the nodes. `analyze` always integrates over k; the estimate
+    then has up to twice the variance. The degrees of freedom are estimated from the variance between
+    segments or, with fewer than four segments, from those of the rings and the energy in each.
 
     Examples
     --------
@@ -357,7 +372,7 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
 
 @takes(a_komega)
 def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
-    """Spectrum E(k) of a field, with its 95 % interval.
+    """Wavenumber spectrum E(k) of a field, with its 95 % interval.
 
     Parameters
     ----------
@@ -367,13 +382,14 @@ def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        ``E`` (k), its sum times the step of k is the variance; ``dof``, ``low`` and ``high`` (k). A dimension
-        ``quantity`` is kept.
+        Over k: ``E``, the integral of E(k, omega) over omega, in the field's units squared per rad/m; its
+        degrees of freedom ``dof``; ``low`` and ``high``, which times E are the limits of the 95 % interval. A
+        dimension ``quantity`` of the input is kept.
 
     Raises
     ------
     CubeError
-        If it is given something else, or the record is too short.
+        If the input is neither a field nor a result of `komega`, or the record is too short.
 
     Examples
     --------
@@ -394,8 +410,8 @@ PLANE = {"omega", "ky", "kx"}
 
 
 def plane_of(field: str, segment: int | None = None) -> Convert:
-    """Converter of inputs to E(omega, ky, kx): a spectrum as given, a Dataset of `spectrum`, a field or a
-    cube.
+    """Return a converter to E(omega, ky, kx) from a spectrum, a result of `spectrum`, a field or a cube.
+    Of a cube, the spectrum of `field` is computed.
     """
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
@@ -406,7 +422,7 @@ def plane_of(field: str, segment: int | None = None) -> Convert:
             return given, water
         if is_cube(given):
             if field not in given:
-                raise CubeError(f"the cube has no {field!r}, of whose spectrum {name} is made")
+                raise CubeError(f"the cube has no {field!r}: {name} needs its spectrum")
             given = spectrum(given[field], segment=segment)
         elif is_field(given):
             given = spectrum(given, segment=segment)
@@ -421,24 +437,25 @@ def plane_of(field: str, segment: int | None = None) -> Convert:
 
 
 def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> xr.DataArray:
-    power = sums.pop(f"map {name}")  # large, and of no further use
+    """Labelled E(omega, ky, kx) of z or w, from the sums of an analysis."""
+    power = sums.pop(f"map {name}")  # frees memory: no other product needs it
     values = xr.Variable(("omega", "ky", "kx"), density(power, welch))
     return plane_density(values, FIELD_TEXTS[name], FIELD_UNITS[name], welch)["E"]
 
 
 def _sum_of_lines(w: xr.DataArray) -> xr.DataArray:
-    """Of the density (omega, ky, kx), over (ky, kx): small enough for workers."""
+    """E(ky, kx) of w up to a factor: much smaller than E(omega, ky, kx), for products on workers."""
     return w.sum("omega")
 
 
 def map_lines(welch: Welch, frequencies: Sequence[float]) -> list[int]:
-    """Lines of the spectrum nearest to given frequencies, Hz."""
+    """Indices of the spectral lines nearest to the given frequencies, Hz."""
     lines = welch.omega / (2 * np.pi)
     return sorted({int(np.abs(lines - f).argmin()) for f in frequencies if f < lines[-2]} - {0})
 
 
 def maps(z: xr.DataArray, w: xr.DataArray, lines: list[int]) -> xr.Dataset:
-    """Densities (omega, ky, kx) at some lines, (omega_map, ky, kx)."""
+    """E(ky, kx) of z and w at some lines, (quantity_map, omega_map, ky, kx)."""
     both = xr.concat([z.isel(omega=lines), w.isel(omega=lines)], xr.Variable("quantity_map", ["z", "w"]))
     return both.drop_vars("frequency").rename(omega="omega_map").drop_attrs().to_dataset(name="E_kxky")
 
