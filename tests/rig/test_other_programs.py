@@ -11,7 +11,6 @@ from rig_cases import dice_xml, field, random_camera, vic_xml
 from wavefield.errors import RigError
 from wavefield.rig import Rig
 from wavefield.rig.formats import load_rig, save_rig
-from wavefield.rig.lens import rotation_about
 
 
 def test_the_rig_file_of_the_documentation_is_read(tmp_path):
@@ -73,37 +72,23 @@ def test_rigs_of_programs_of_image_correlation_are_read(tmp_path, form):
             assert np.allclose(back[name].centre, camera.centre * metres / 1e-3, rtol=1e-9)
 
 
-def dice_text(outer, k=(0.0, 0.0, 0.0)):
-    lens = [600.0, 400.0, 2400.0, 2410.0, -0.2, *k]
-    return "\n".join(f"{v!r} # a number" for v in [*lens, *lens, *outer, 800.0, 1200.0])
+def test_dices_poses_relative_to_the_first_camera_are_read(tmp_path):
+    one, two = (random_camera(n, "p1", "p2", "tau_x", "tau_y") for n in (1, 2))
+    R = two.R @ one.R.T
+    relative = replace(two, rotation=R, translation=two.T - R @ one.T)
+    flag = '<Parameter name="extrinsics_relative_camera_to_camera" value="true"/>'
+    text = dice_xml(Rig({"cam1": one, "cam2": relative})).replace(
+        "<ParameterList>", f"<ParameterList>{flag}", 1
+    )
+    (tmp_path / "rig.xml").write_text(text)
+    assert misfit(load_rig(tmp_path / "rig.xml")["cam2"], two) < 1e-8
 
 
-def test_dices_text_in_both_forms_is_one_rig(tmp_path):
-    T = [130.75, -0.61, 17.1]
-    (tmp_path / "angles.txt").write_text(dice_text([10.0, -18.0, 3.0, *T]))
-    alpha, beta, gamma = np.radians([10.0, -18.0, 3.0])
-    R = rotation_about([0, 0, gamma]) @ rotation_about([0, beta, 0]) @ rotation_about([alpha, 0, 0])
-    (tmp_path / "matrix.txt").write_text(dice_text([*R.ravel().tolist(), *T]))
-    one, other = load_rig(tmp_path / "angles.txt"), load_rig(tmp_path / "matrix.txt")
-    assert list(one) == ["cam1", "cam2"]
-    assert misfit(one["cam2"], other["cam2"]) < 1e-8
-    assert np.allclose(one["cam2"].T, 1e-3 * np.array(T))
-    assert "first camera" in one.provenance["imported"]["left_out"]
-
-
-def test_dices_odd_radial_terms(tmp_path):
-    outer = [0.0, 0.0, 0.0, 100.0, 0.0, 0.0]
-    (tmp_path / "scale.txt").write_text(dice_text(outer, (0.02, 0.0, -0.1)))
-    camera = load_rig(tmp_path / "scale.txt")["cam1"]
-    a, b = 0.1, 0.05
-    r = np.hypot(a, b)
-    factor = 1 + 0.02 - 0.1 * r**2  # k1 r + k2 r^2 + k3 r^3 added to r
-    X, Y = camera.project(a, b, 1.0)
-    assert abs(X - (2400 * a * factor - 0.2 * b * factor + 600)) < 1e-9
-    assert abs(Y - (2410 * b * factor + 400)) < 1e-9
-    (tmp_path / "odd.txt").write_text(dice_text(outer, (0.0, 0.1, 0.0)))
-    with pytest.raises(RigError, match="OPENCV_LENS_DISTORTION"):
-        load_rig(tmp_path / "odd.txt")
+def test_a_lens_model_of_dice_with_odd_radial_terms_is_refused(tmp_path):
+    text = dice_xml(Rig({"cam1": random_camera(1, "p1", "p2", "tau_x", "tau_y")}))
+    (tmp_path / "odd.xml").write_text(text.replace("OPENCV_LENS_DISTORTION", "K1R1_K2R2_K3R3"))
+    with pytest.raises(RigError, match="calibrate with OPENCV_LENS_DISTORTION"):
+        load_rig(tmp_path / "odd.xml")
 
 
 @pytest.mark.parametrize("cut", [0.2, 0.7])

@@ -12,13 +12,7 @@ import yaml
 
 from wavefield.errors import RigError
 from wavefield.rig.formats.common import LENGTHS, ImportOptions, Size
-from wavefield.rig.formats.correlation import (
-    is_dice_text,
-    is_dice_xml,
-    load_dice_text,
-    load_dice_xml,
-    load_vic,
-)
+from wavefield.rig.formats.correlation import load_dice, load_vic
 from wavefield.rig.formats.davis import load_davis
 from wavefield.rig.formats.matlab import load_matlab, save_matlab
 from wavefield.rig.formats.opencv import load_opencv, save_opencv
@@ -35,6 +29,7 @@ __all__ = [
 ]
 
 
+# errors of the readers for damaged or unknown files
 _BROKEN = (
     ET.ParseError,
     yaml.YAMLError,
@@ -53,29 +48,30 @@ def load_rig(
     names: Sequence[str] | None = None,
     unit: str | None = None,
 ) -> Rig:
-    """Read a rig in any supported format, recognised from the file's content.
+    """Read a rig in any supported format, which is recognised by the file's content.
 
     Parameters
     ----------
     path : path, or mapping of camera name to path
-        One file, a folder that holds ``rig.yaml``, or one file per camera (UVMAT).
+        One file, a folder that contains ``rig.yaml``, or one file per camera (UVMAT).
     sizes : mapping of str to (width, height), optional
-        Image size per camera, px; UVMAT's files and OpenCV's stereo files do not store it.
+        Image size by camera, px; UVMAT's files and OpenCV's stereo files do not store it.
     names : sequence of str, optional
-        Names for the cameras, in the file's order; cam1, cam2, ... if left out.
+        Names of the cameras, in the file's order; by default those in the file, or cam1, cam2, ...
     unit : str, optional
-        Unit of length (m, cm, mm, ...) or its size in metres. Needed if the file does not state it (OpenCV,
-        MATLAB: the unit of the target; default m) or if it is not the program's usual unit (VIC-3D, DICe,
-        DaVis: mm).
+        Unit of length (m, cm, mm, inch) or its size in metres. It is needed if the file does not state its
+        unit (OpenCV, MATLAB: the unit of the target; default m), or if this is not the program's usual unit
+        (VIC-3D, DICe, DaVis: mm).
 
     Returns
     -------
     Rig
+        Lengths in metres; the provenance names the program, the file and its unit.
 
     Raises
     ------
     RigError
-        If a file is missing, is of no supported kind, or lacks what a camera in space needs.
+        If a file is missing or not supported, or if a camera is incomplete.
 
     Examples
     --------
@@ -101,7 +97,7 @@ def load_rig(
     options = ImportOptions(sizes, names, unit)
     try:
         rig = _imported(path, options)
-        if rig is None:  # wavefield's own, or the folder of an experiment
+        if rig is None:  # a file of wavefield, or a folder
             return Rig.load(path / "rig.yaml" if path.is_dir() else path)
         return rig
     except RigError as error:
@@ -117,7 +113,7 @@ def load_rig(
 
 
 def _imported(path: Path, options: ImportOptions) -> Rig | None:
-    """A rig of another program; None for one of wavefield."""
+    """A rig of another program; None for a folder or a file of wavefield."""
     if path.is_dir():
         return None
     if path.suffix == ".mat" and path.exists():
@@ -127,7 +123,7 @@ def _imported(path: Path, options: ImportOptions) -> Rig | None:
         return _load_xml(path, options)
     if text.startswith("%YAML:1.0") or "opencv-matrix" in text:
         return load_opencv(path, options)
-    return load_dice_text(text, path, options) if is_dice_text(text) else None
+    return None
 
 
 def _load_xml(path: Path, options: ImportOptions) -> Rig:
@@ -136,17 +132,19 @@ def _load_xml(path: Path, options: ImportOptions) -> Rig:
         return load_uvmat(root, path, options)
     if root.tag == "opencv_storage":
         return load_opencv(path, options)
-    if is_dice_xml(root):
-        return load_dice_xml(root, path, options)
+    if root.tag == "ParameterList":
+        return load_dice(root, path, options)
     if root.find("calibration") is not None:
         return load_vic(root, path, options)
     if root.find(".//CoordinateMapper") is not None:
         return load_davis(root, path, options)
-    raise RigError(f"its outermost element is <{root.tag}>, which no program that is read writes")
+    raise RigError(f"its outermost element <{root.tag}> is not that of a supported program")
 
 
 def save_rig(rig: Rig, path: str | Path, program: str) -> None:
-    """Write a rig for UVMAT (a file per camera, into a folder that exists), OpenCV or MATLAB."""
+    """Write a rig for `program`: opencv, matlab, or uvmat (one file per camera, into an existing folder).
+    Raises a RigError if the program does not have a term of the lenses.
+    """
     path = Path(path)
     if program == "uvmat":
         for name, camera in rig.cameras.items():

@@ -1,4 +1,4 @@
-"""Parts of readers and writers of other programs' calibrations."""
+"""Parts that readers and writers of other programs' calibrations share."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
@@ -12,45 +12,25 @@ from wavefield.rig.lens import Array, rotation_about
 from wavefield.rig.rig import Rig
 
 Size = tuple[int, int]
-LENGTHS = {
-    "m": 1.0,
-    "meter": 1.0,
-    "dm": 0.1,
-    "cm": 0.01,
-    "mm": 0.001,
-    "um": 1e-6,
-    "km": 1000.0,
-    "inch": 0.0254,
-}
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+_ABBREVIATED = {"meter": "m", "centimeter": "cm", "millimeter": "mm", "in": "inch", "inche": "inch"}
+MAX_DISTANCE = 20.0  # m between cameras; if a file states no unit and they are farther apart, it is not m
 
-
-_ABBREVIATED = {
-    "millimeter": "mm",
-    "centimeter": "cm",
-    "decimeter": "dm",
-    "micrometer": "um",
-    "in": "inch",
-    "inche": "inch",
-}
-MAX_DISTANCE = 20.0  # m between cameras: more, of a file that states no unit, is another unit
-
-
-Pose = tuple[Array, Array]  # rotation (3, 3), translation (3,), metres: world to camera
-FIRST_CAMERA: Pose = np.eye(3), np.zeros(3)
-NO_WORLD_POSE = "no pose in the world: the frame is that of the first camera; level it on the water"
+Pose = tuple[Array, Array]  # rotation (3, 3) and translation (3,), metres, from the world to the camera
+FIRST_CAMERA: Pose = np.eye(3), np.zeros(3)  # the world is the first camera's frame
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What the user states about a file that the file itself may not contain."""
+    """Options of the user for facts that a file may not contain."""
 
-    sizes: Mapping[str, Size] | None = None  # Image (width, height) per camera, px
-    names: Sequence[str] | None = None  # Of the cameras, in the file's order; cam1, cam2, ... if left out
-    unit: str | None = None  # Unit of length, or its size in metres; None: the file's own or the program's
+    sizes: Mapping[str, Size] | None = None  # Image (width, height) by camera, px
+    names: Sequence[str] | None = None  # Names of the cameras, in the file's order
+    unit: str | None = None  # Unit of length, or its size in metres; None: the file's or the program's unit
 
     def length(self, usual: str | None, stated: str = "") -> tuple[float, str]:
-        """Unit of length in metres, and its name: as the user gives it, as the file states it, or the usual.
-        Without any it is the metre, and the name is empty.
+        """Unit of length in metres, and its name: the user's, else the file's, else the usual one.
+        If there is none, the unit is the metre and the name is empty.
         """
         unit = self.unit or stated.strip() or usual
         if unit is None:
@@ -67,7 +47,7 @@ class ImportOptions:
             ) from None
 
     def size(self, name: str, program: str, stored: tuple[float, float] | None = None) -> Size:
-        """Image size of a camera: as stated, or as stored in the file."""
+        """Image (width, height) of a camera, px: the user's, else the file's; a RigError without either."""
         size = (self.sizes or {}).get(name) or stored
         if size is None:
             raise RigError(
@@ -77,7 +57,7 @@ class ImportOptions:
         return int(size[0]), int(size[1])
 
     def named(self, count: int, own: Sequence[str] | None = None) -> list[str]:
-        """Names of the cameras: as stated, or the file's own."""
+        """Names of the cameras: the user's, else the file's, else cam1, cam2, ..."""
         if self.names is None:
             return list(own or (f"cam{n + 1}" for n in range(count)))
         if len(self.names) != count:
@@ -87,12 +67,17 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class StoredCamera:
-    """A camera of a file, with OpenCV's lens model."""
+    """A camera as a file stores it, with OpenCV's lens model."""
 
     K: Array  # (3, 3), px
     D: Array | Sequence[float] | None  # Distortion coefficients in OpenCV's order
     pose: Pose = FIRST_CAMERA
-    size: tuple[float, float] | None = None  # Image (width, height), px, where the file stores it
+    size: tuple[float, float] | None = None  # Image (width, height), px; None if the file does not store it
+
+
+def camera_matrix(fx: float, fy: float, cx: float, cy: float, skew: float = 0.0) -> Array:
+    """OpenCV's camera matrix (3, 3), px."""
+    return np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def rig_of_file(
@@ -102,11 +87,12 @@ def rig_of_file(
     note: Mapping[str, object],
     own: Sequence[str] | None = None,
 ) -> Rig:
-    """The rig of a file's cameras; origin names the program in messages, note is its provenance.
-    The cameras have their own names where the file gives each another one.
+    """The rig of a file's cameras; `origin` names the program in messages, `note` is the provenance.
+    The names `own` that the file gives to its cameras are used if they are all different.
     """
     if cameras[0].pose is FIRST_CAMERA:
-        note = {"left_out": NO_WORLD_POSE, **note}
+        left_out = "no pose in the world: the frame is that of the first camera; level it on the water"
+        note = {"left_out": left_out, **note}
     if own is not None and (not all(own) or len(set(own)) < len(own)):
         own = None
     named = dict(zip(options.named(len(cameras), own), cameras, strict=True))
@@ -120,7 +106,7 @@ def rig_of_file(
 
 
 def rotation_near(matrix: Array) -> Array:
-    """The rotation nearest to a matrix (3, 3), which files round to a few digits."""
+    """The rotation nearest to a matrix (3, 3) that a file rounds; a RigError if the matrix is no rotation."""
     U, _, V = np.linalg.svd(matrix)
     nearest: Array = U @ V
     if not np.abs(nearest - matrix).max() < 1e-3 or np.linalg.det(nearest) < 0:
@@ -129,14 +115,14 @@ def rotation_near(matrix: Array) -> Array:
 
 
 def turned_about_axes(alpha: float, beta: float, gamma: float) -> Array:
-    """R = Rz(gamma) Ry(beta) Rx(alpha), radians, as in VIC-3D and DaVis."""
+    """Rotation R = Rz(gamma) Ry(beta) Rx(alpha), radians, as in VIC-3D, DICe and DaVis."""
     about_x, about_y, about_z = (rotation_about(a * e) for a, e in zip((alpha, beta, gamma), np.eye(3)))
     turn: Array = about_z @ about_y @ about_x
     return turn
 
 
 def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[float]:
-    """Numbers of an element, of which there must be so many if stated."""
+    """Numbers in an XML element; a RigError if the element is missing or has not `count` of them."""
     element = parent.find(tag)
     if element is None or element.text is None:
         raise RigError(f"<{tag}> is missing")
@@ -147,7 +133,7 @@ def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[f
 
 
 def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
-    """Refuse a camera with lens terms that another program does not have."""
+    """Raise a RigError if a camera has lens terms other than `terms`, which the program supports."""
     extra = [
         term
         for term in ("k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
@@ -161,7 +147,7 @@ def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
 
 
 def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
-    """Both cameras of a rig, and rotation and translation, metres, of the second in the first's frame."""
+    """Both cameras of a rig, and rotation and translation (metres) from the first to the second."""
     if len(rig) != 2:
         raise RigError(f"{program} has two cameras, and this rig {len(rig)}: write OpenCV's file")
     if rig.lenses_alone:
@@ -172,7 +158,7 @@ def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
 
 
 def stated_unit(element: ET.Element) -> str:
-    """Unit of length that an XML element states in an attribute or an element ``unit``; empty if it does not.
+    """Unit of length in an attribute or element ``unit`` or similar of an XML tree; empty if there is none.
 
     Examples
     --------
@@ -187,7 +173,7 @@ def stated_unit(element: ET.Element) -> str:
 
 
 def refuse_implausible(cameras: Sequence[StoredCamera], unit: str) -> None:
-    """Refuse cameras that would be far apart in metres, if the unit of length is not known."""
+    """Raise a RigError if the unit of length is unknown and, in metres, the cameras are far apart."""
     centres = [-one.pose[0].T @ one.pose[1] for one in cameras]
     apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     if not unit and apart > MAX_DISTANCE:

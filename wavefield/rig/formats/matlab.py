@@ -1,4 +1,4 @@
-"""MATLAB's .mat files: Bouguet's toolbox, and the structs of MATLAB's own Camera Calibrator."""
+"""MATLAB's .mat files: results of Bouguet's toolbox, and structs of MATLAB's Camera Calibrator."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,6 +15,7 @@ from wavefield.rig.formats.common import (
     Pose,
     StoredCamera,
     as_pair,
+    camera_matrix,
     refuse_implausible,
     refuse_terms,
     rig_of_file,
@@ -25,7 +26,7 @@ from wavefield.rig.rig import Rig
 
 def load_matlab(path: Path, options: ImportOptions) -> Rig:
     """Read a calibration made in MATLAB."""
-    import scipy.io  # half a second that no other rig needs
+    import scipy.io  # here, because the import takes half a second
 
     try:
         data = scipy.io.loadmat(str(path), simplify_cells=True)
@@ -35,7 +36,7 @@ def load_matlab(path: Path, options: ImportOptions) -> Rig:
     length, unit = options.length(None, _world_units(data))
 
     def second(R: ArrayLike, T: ArrayLike) -> Pose:
-        """Pose of the second camera, from what the file stores."""
+        """Pose of the second camera in the first one's frame."""
         return rotation_near(np.asarray(R, float)), length * np.ravel(np.asarray(T, float))
 
     if "fc_left" in data:
@@ -51,7 +52,7 @@ def load_matlab(path: Path, options: ImportOptions) -> Rig:
             pair = pairs[0]
             if isinstance(pair.get("PoseCamera2"), dict):
                 pose = second(pair["PoseCamera2"]["R"], pair["PoseCamera2"]["Translation"])
-            else:  # rows of points there: x2 = x1 R + t
+            else:  # older versions multiply rows: x2 = x1 R + t
                 pose = second(np.asarray(pair["RotationOfCamera2"], float).T, pair["TranslationOfCamera2"])
             one, two = _struct(pair["CameraParameters1"]), _struct(pair["CameraParameters2"])
             cameras = [one, replace(two, pose=pose)]
@@ -68,7 +69,7 @@ def load_matlab(path: Path, options: ImportOptions) -> Rig:
 
 
 def _world_units(data: object) -> str:
-    """The unit of length that a struct of the Calibrator states at any depth; empty if none does."""
+    """The unit of length that a struct of the Calibrator states at any depth; empty if there is none."""
     if not isinstance(data, Mapping):
         return ""
     own = data.get("WorldUnits")
@@ -76,17 +77,17 @@ def _world_units(data: object) -> str:
 
 
 def _bouguet(data: Mapping[str, Any], side: str) -> StoredCamera:
-    """A camera of Bouguet's toolbox, where pixels count from zero as here."""
+    """A camera of Bouguet's toolbox, which counts pixels from zero; `side` is _left, _right or empty."""
     fx, fy = np.ravel(data[f"fc{side}"]).tolist()
     cx, cy = np.ravel(data[f"cc{side}"]).tolist()
     skew = float(np.ravel(data.get(f"alpha_c{side}", 0.0))[0]) * fx
-    K = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    K = camera_matrix(fx, fy, cx, cy, skew)
     size = (float(data["nx"]), float(data["ny"])) if "nx" in data and "ny" in data else None
     return StoredCamera(K, np.ravel(np.asarray(data[f"kc{side}"], float)), size=size)
 
 
 def _struct(value: Mapping[str, Any]) -> StoredCamera:
-    """A camera of MATLAB's Calibrator: the matrix transposed in older versions, pixels counted from one."""
+    """A camera of MATLAB's Calibrator, which counts pixels from one; older versions transpose the matrix."""
     K = np.asarray(value["K"] if "K" in value else np.transpose(value["IntrinsicMatrix"]), float).copy()
     K[:2, 2] -= 1.0
     k = [*np.ravel(value["RadialDistortion"]).tolist(), 0.0, 0.0][:3]
@@ -96,10 +97,10 @@ def _struct(value: Mapping[str, Any]) -> StoredCamera:
 
 
 def save_matlab(rig: Rig, path: Path) -> None:
-    """Write two cameras as the stereo results of Bouguet's toolbox, lengths in metres.
+    """Write two cameras as stereo results of Bouguet's toolbox, lengths in metres.
     MATLAB's `stereoParametersFromOpenCV` takes the same numbers: KK_left, kc_left, KK_right, kc_right, R, T.
     """
-    import scipy.io  # half a second that no other rig needs
+    import scipy.io  # here, because the import takes half a second
 
     one, two, R, T = as_pair(rig, "MATLAB")
     if one.size != two.size:

@@ -1,4 +1,4 @@
-"""OpenCV's YAML or XML, under the names that its samples and common programs give to nodes."""
+"""OpenCV's YAML or XML files, with the node names that its samples and common programs use."""
 
 import re
 from collections.abc import Mapping
@@ -21,25 +21,25 @@ from wavefield.rig.lens import Array
 from wavefield.rig.rig import Rig
 from wavefield.text import one_line
 
-# names of nodes, in small letters and digits only, without the number of the camera
+# names of nodes in lower case, without other characters and without the number of the camera
 MATRICES = ("m", "k", "cameramatrix", "intrinsics", "intrinsic", "intrinsicspinhole", "camera", "mtx", "kmat")
 DISTORTIONS = {"d", "kc", "dist", "distcoeff", "distcoeffs", "distcoefs"}
 DISTORTIONS |= {"distortion", "distortioncoefficients"}
 ROTATIONS = ("r", "rotation", "rotationmatrix", "rmat")
 TRANSLATIONS = ("t", "translation", "translationvector", "tvec")
 
-Nodes = list[tuple[str, Array]]  # names and values of a file
-Parts = dict[str, Array]  # of one camera: K, D, size or width and height, worldr and worldt
+Nodes = list[tuple[str, Array]]  # names and values of a file's nodes
+Parts = dict[str, Array]  # nodes of one camera: K, D, size or width and height, worldr and worldt
 
 
 def _nodes(path: Path) -> Nodes:
-    """All matrices and numbers at the first two levels of a file."""
+    """All matrices and numbers at the first two levels of a file; a RigError if it is damaged."""
     text = path.read_text(errors="replace")
-    if not text.endswith(("\n", "]", ">")):  # OpenCV reads the beginning of a YAML file that was cut
+    if not text.endswith(("\n", "]", ">")):  # OpenCV does not report that a YAML file was cut
         raise RigError("it ends within a line: it is truncated; copy it again")
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except SystemError as error:  # of OpenCV's bindings, by the damage
+    except SystemError as error:  # OpenCV's bindings raise it for damaged files
         raise RigError(f"OpenCV cannot read it ({one_line(error.__cause__ or error)})") from None
     out: Nodes = []
 
@@ -66,7 +66,7 @@ def _nodes(path: Path) -> Nodes:
 
 
 def _parts_of_cameras(nodes: Nodes) -> dict[str, Parts]:
-    """Matrices of each camera (K, D, R, T, ...), by the number, or left or right, in a node's name, or ""."""
+    """Nodes of each camera, by the number, or left or right, in their names; "" for nodes without one."""
     out: dict[str, Parts] = {}
     for name, value in nodes:
         head = re.match(r"(?:cam(?:era)?)?(\d+)", name)
@@ -83,6 +83,7 @@ def _parts_of_cameras(nodes: Nodes) -> dict[str, Parts]:
 
 
 def _part(stem: str, value: Array) -> str:
+    """Key of a node in `Parts`, from its name without the camera's number; empty for other nodes."""
     if value.shape == (3, 3) and stem in MATRICES and value[2, 2] == 1.0:
         return "K"
     if stem in DISTORTIONS and value.size in (4, 5, 8, 12, 14):
@@ -97,7 +98,7 @@ def _part(stem: str, value: Array) -> str:
 
 
 def load_opencv(path: Path, options: ImportOptions) -> Rig:
-    """Read OpenCV's storage: one camera, or several with the pose of the second from the first."""
+    """Read a file of OpenCV: one camera, or two with the pose of the second in the first one's frame."""
     nodes = _nodes(path)
     if any(name.startswith("fisheyemodel") and value.any() for name, value in nodes):
         raise RigError("its lens is a fisheye, which has no camera model here: calibrate a perspective lens")
@@ -113,17 +114,17 @@ def load_opencv(path: Path, options: ImportOptions) -> Rig:
         D = parts.get("D", np.zeros(0)).ravel()
         pose = FIRST_CAMERA if R is FIRST_CAMERA[0] else (R, length * T)
         cameras.append(StoredCamera(parts["K"], D, pose, _stored_size(parts)))
-    if not all("worldt" in parts for parts in all_parts):  # our own files are in metres
+    if not all("worldt" in parts for parts in all_parts):  # files of `save_opencv` are in metres
         refuse_implausible(cameras, unit)
     return rig_of_file(cameras, options, "this OpenCV file", note)
 
 
 def _cameras(nodes: Nodes) -> list[Parts]:
-    """The parts of the cameras in their order, each with the parts that all share."""
+    """Nodes of each camera in order, together with the nodes that all cameras share."""
     found = _parts_of_cameras(nodes)
     shared = found.get("", {})
     order = sorted((camera for camera in found if "K" in found[camera]), key=_order)
-    if "" in order and len(order) > 1:  # numbered cameras, and an own matrix such as P or K of something else
+    if "" in order and len(order) > 1:  # with numbered cameras, a matrix without a number is not a camera's
         order.remove("")
     if not order:
         raise RigError(f"it holds no camera matrix: a node called {', '.join(MATRICES)}")
@@ -145,7 +146,7 @@ def _stored_size(parts: Parts) -> tuple[float, float] | None:
 
 
 def _pose(n: int, name: str, parts: Parts, by_name: Mapping[str, Array]) -> Pose:
-    """Pose of the camera at position n: in the world if stored, else of the second from the first."""
+    """Pose of the nth camera in the world, if stored, else in the first camera's frame."""
     if "worldr" in parts and "worldt" in parts:
         return rotation_near(parts["worldr"]), parts["worldt"].ravel()
     if n == 0:
@@ -163,10 +164,10 @@ def _pose(n: int, name: str, parts: Parts, by_name: Mapping[str, Array]) -> Pose
 
 
 def save_opencv(rig: Rig, path: str | Path) -> None:
-    """Write a rig as OpenCV's YAML: M1, D1, M2, D2, ..., and R, T of the second camera from the first.
-    Added: poses in the physical frame ``world_R1``, ``world_T1`` (metres).
+    """Write a rig as OpenCV's YAML: M1, D1, M2, D2, ..., and R, T from the first camera to the second.
+    The nodes ``world_R1``, ``world_T1``, ... are the poses in the physical frame, metres.
     """
-    # in memory: OpenCV does not report a file that it could not write in full
+    # write in memory first, because OpenCV does not report an incomplete file
     storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     try:
         for n, (name, camera) in enumerate(rig.cameras.items(), 1):

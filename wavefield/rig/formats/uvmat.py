@@ -1,4 +1,4 @@
-"""UVMAT's XML (ImaDoc), one camera a file."""
+"""UVMAT's XML files (ImaDoc), one per camera."""
 
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -11,12 +11,12 @@ from wavefield.rig.camera import Camera
 from wavefield.rig.formats.common import LENGTHS, ImportOptions, numbers_of, refuse_terms, rotation_near
 from wavefield.rig.rig import Rig
 
-# UVMAT counts Y upwards, so its camera frame is left-handed: turn its y axis
+# UVMAT counts Y upwards, so its camera frame is left-handed: invert its y axis
 _FLIP = np.diag([1.0, -1.0, 1.0])
 
 
 def load_uvmat(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
-    """Read UVMAT's ImaDoc of one camera."""
+    """Read one camera from UVMAT's ImaDoc."""
     calibration = root.find("GeometryCalib")
     if calibration is None:
         raise RigError("it has no <GeometryCalib>: the images were not calibrated")
@@ -37,11 +37,9 @@ def load_uvmat(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
     k1 = numbers_of(calibration, "kc")[0] if calibration.find("kc") is not None else 0.0
     R = np.array([[float(v) for v in (row.text or "").split()] for row in rows])
     T = length * np.array(numbers_of(calibration, "Tx_Ty_Tz", 3))
-    # pixel centres at half-integers there, the lowest row's at Y = 1/2
+    # UVMAT has pixel centres at half-integers, that of the lowest row at Y = 1/2
     camera = Camera(fx, fy, Cx - 0.5, size[1] - 0.5 - Cy, rotation_near(_FLIP @ R), _FLIP @ T, size, k1=k1)
-    note: dict[str, object] = {"program": "UVMAT", "file": path.name, "unit": unit}
-    if calibration.find("ErrorRms") is not None:
-        note["rms_px"] = numbers_of(calibration, "ErrorRms")
+    note = {"program": "UVMAT", "file": path.name, "unit": unit}
     index = calibration.findtext("RefractionIndex")
     if index is not None and float(index) != 1.0:
         note["left_out"] = f"refraction index {float(index)}: sight lines are straight here, as in air"
@@ -49,7 +47,9 @@ def load_uvmat(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
 
 
 def _check_size(calibration: ET.Element, size: tuple[int, int]) -> None:
-    """Refuse an image too small for the points that were marked: UVMAT stores no size."""
+    """Raise a RigError if a target point of the calibration is outside an image of this size (width, height).
+    UVMAT stores no size, so the user states it.
+    """
     marked = [
         [float(v) for v in (point.text or "").split()]
         for point in calibration.iterfind("SourceCalib/PointCoord")
@@ -59,12 +59,12 @@ def _check_size(calibration: ET.Element, size: tuple[int, int]) -> None:
         x, y = pixel.max(axis=0)
         raise RigError(
             f"it has a point marked at ({x:.0f}, {y:.0f}) px, outside an image of {size[0]} x {size[1]} px: "
-            "state the size of the images it was made with"
+            "state the size of the images from which it was made"
         )
 
 
 def save_uvmat(camera: Camera, path: str | Path, unit: str = "cm") -> None:
-    """Write one camera as UVMAT's ImaDoc XML."""
+    """Write one camera as UVMAT's ImaDoc; a RigError if it has lens terms other than k1."""
     refuse_terms(camera, "UVMAT", "k1")
     scale = 1.0 / LENGTHS[unit]
     root = ET.Element("ImaDoc")
@@ -82,7 +82,7 @@ def save_uvmat(camera: Camera, path: str | Path, unit: str = "cm") -> None:
     put("Tx_Ty_Tz", *(repr(float(v)) for v in T))
     for i, row in enumerate(R):
         put("R", *(repr(float(v)) for v in row), i=str(i + 1))
-    # UVMAT's rotation vector, degrees; it belongs to the right-handed frame
+    # rotation vector in degrees, which UVMAT states for the right-handed frame
     put("omc", *(repr(float(v)) for v in np.degrees(cv2.Rodrigues(camera.R)[0].ravel())))
     ET.indent(root, "   ")
     ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
