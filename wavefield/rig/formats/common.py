@@ -12,7 +12,7 @@ from wavefield.rig.lens import Array, rotation_about
 from wavefield.rig.rig import Rig
 
 Size = tuple[int, int]
-LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6, "inch": 0.0254}
 _ABBREVIATED = {"meter": "m", "centimeter": "cm", "millimeter": "mm", "in": "inch", "inche": "inch"}
 MAX_DISTANCE = 20.0  # m between cameras; if a file states no unit and they are farther apart, it is not m
 
