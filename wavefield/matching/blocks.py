@@ -1,4 +1,4 @@
-"""Fields on the lattice of blocks: windows, smoothing, neighbours, from one pyramid level to the next."""
+"""Operations on fields (ny, nx) on the lattice of blocks: windows, smoothing, slopes, steps, outliers."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from wavefield.matching.kernels import BLOCK
 F = np.float32
 BORDER = cv2.BORDER_REPLICATE
 
-SMOOTHER_ORDER = 4  # higher: a flatter passband
-RELAXATION = 1.25  # of every step: noise makes steps too short
-# weights of a first derivative per px, of sixth order, over seven blocks
+SMOOTHER_ORDER = 4  # n of the smoother 1 - (1 - G)^n: a higher order has a flatter passband
+RELAXATION = 1.25  # factor on every Gauss-Newton step, because noise in the gradients makes steps too short
+# weights of the sixth-order central difference over seven blocks, per px
 _DIFFERENCE = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60 / BLOCK
 
 njit = compiled(error_model="numpy")
@@ -37,19 +37,20 @@ def window_sigma(window: float) -> float:
 
 
 def window_weights(window: float) -> np.ndarray:
-    """Weights over blocks of that Gaussian window."""
+    """Weights over blocks of the Gaussian window with the area of a square of side `window` px."""
     return gaussian(window_sigma(window))
 
 
 def filtered(field: np.ndarray, weights: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-    """The field convolved with the same weights along x and y; the border is replicated."""
+    """Convolve a field with the same weights along x and y; the border is replicated."""
     return cv2.sepFilter2D(field, -1, weights, weights, dst=out, borderType=BORDER)
 
 
 def smoothed(
     field: np.ndarray, sigma: float, order: int, weighting: tuple[np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:
-    """A field (ny, nx) after the flat smoother 1 - (1 - G)^order, with G a Gaussian of `sigma` blocks.
+    """Smooth a field (ny, nx) by 1 - (1 - G)^order, with G a Gaussian of `sigma` blocks.
+
     With a `weighting` from `smoother_weights`, G f becomes the weighted mean G(w f) / G(w).
     """
     if sigma == 0:
@@ -71,15 +72,16 @@ def smoothed(
 
 
 def smoother_weights(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
-    """Weighting for `smoothed`: the weights (ny, nx) of the blocks, and G of them as the norm."""
+    """Weighting for `smoothed`: the weights (ny, nx) of the blocks, and the norm 1 / G(weights)."""
     return weight, F(1) / np.maximum(filtered(weight, gaussian(sigma)), F(1e-3))
 
 
 def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.ndarray:
     """Displacement gradients du/dx, du/dy, dv/dx, dv/dy per px, (4, ny, nx) float32.
-    u and v are averages over areas of a `variance`, px^2; the gradients are those before averaging. Sixth
-    order,
-    because two-point differences are a quarter too small for waves of five blocks.
+
+    u and v are means over the area of a block, whose variance is `averaged_variance`, px^2; the gradients are
+    corrected for that. Differences are of sixth order, because two-point differences are a quarter too small
+    for waves of five blocks.
     """
     side = 0.5 * averaged_variance / BLOCK**2
     sharpened = np.array([-side, 1.0 + 2.0 * side, -side])
@@ -97,7 +99,7 @@ def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.n
 
 @njit
 def _extend_oddly(field: np.ndarray, margin: int, out: np.ndarray) -> None:
-    """Write a field with a margin that continues its slope: reflected about the value at the edge."""
+    """Copy a field into `out` and extend it by odd reflection about its edge values, keeping the slope."""
     ny, nx = field.shape
     for j in range(ny):
         row, to = field[j], out[margin + j]
@@ -117,8 +119,10 @@ def _extend_oddly(field: np.ndarray, margin: int, out: np.ndarray) -> None:
 
 @njit
 def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) -> None:
-    """Change sums (2, ny, nx) of a displacement constant in each block to those of a linear one, in place.
-    The moments (9, ny, nx) come from `gradient_moments`.
+    """Correct the scores (2, ny, nx), in place, for displacement gradients (4, ny, nx) inside each block.
+
+    The scores were computed with a constant displacement per block. The moments (9, ny, nx) are those of
+    `gradient_moments`.
     """
     _, ny, nx = sums.shape
     for j in range(ny):
@@ -134,9 +138,10 @@ def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) ->
 def subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float]:
-    """Subtract from the scores (2, ny, nx), in place, what strained beads would contribute (see
-    `reevaluate`).
-    The moments (8, ny, nx) come from `strain_moments`. Returns the fitted c and s^2.
+    """Subtract the scores that strained images of beads cause from the scores (2, ny, nx), in place.
+
+    The moments (8, ny, nx) are those of `strain_moments`. Returns the fitted coefficients c and s^2 of the
+    two contributions, which `reevaluate` defines.
     """
     aa, ab, bb, ra, rb = _strain_products(sums, moments, slope, count)
     determinant = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
@@ -148,7 +153,7 @@ def subtract_strain(
 
 @njit
 def _strains(moments: np.ndarray, slope: np.ndarray, j: int, i: int) -> Any:
-    """Scores of one block that strain causes: of the image itself, and of its second derivatives."""
+    """Scores of block (j, i) caused by strain: two from the image itself, two from its second derivatives."""
     ux, shear, vy = slope[0, j, i], slope[1, j, i] + slope[2, j, i], slope[3, j, i]
     divergence = ux + vy
     return (
@@ -182,6 +187,7 @@ def _strain_products(
 def _subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray, c: F, s2: F
 ) -> None:
+    """Subtract c times the first and s2 times the second strain score from the scores."""
     for j in range(count.shape[0]):
         for i in range(count.shape[1]):
             a, b, p, q = _strains(moments, slope, j, i)
@@ -201,7 +207,7 @@ def step(
 ) -> None:
     """One Gauss-Newton step per block: u, v += relaxation (H + ridge)^-1 s, at most `limit` px each way.
 
-    h (3, ny, nx) holds the windowed sums gx gx, gx gy, gy gy; s (2, ny, nx) those of gx r, gy r.
+    h (3, ny, nx) holds the Hessians and s (2, ny, nx) the scores, both summed over the window.
     """
     ny, nx = u.shape
     for j in range(ny):
@@ -215,9 +221,9 @@ def step(
 
 
 def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
-    """Replace vectors more than `limit` px from the median of their 5 x 5 neighbours by that median, in
-    place.
-    Returns a mask (ny, nx) of the replaced vectors.
+    """Replace outliers by the median of their 5 x 5 neighbours, in place; return their mask (ny, nx).
+
+    A vector is an outlier if it lies more than `limit` px from that median.
     """
     median_u, median_v = cv2.medianBlur(u, 5), cv2.medianBlur(v, 5)
     outlier: np.ndarray = np.abs(u - median_u) + np.abs(v - median_v) > F(limit)
@@ -234,7 +240,7 @@ def _doubling_maps(coarse: tuple[int, int], fine: tuple[int, int]) -> tuple[np.n
 
 
 def to_finer(field: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """A displacement field on the lattice and in the pixels of the next finer level."""
+    """Interpolate a displacement field to the next finer pyramid level, in px of that level."""
     x, y = _doubling_maps(field.shape, shape)
     return cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=BORDER) * F(2)
 
@@ -250,7 +256,7 @@ def block_weights(
     out: np.ndarray,
     block: int = BLOCK,
 ) -> None:
-    """Write 1 for blocks that lie inside image b and hold no masked pixel, else 0, into `out`.
+    """Write 1 into `out` for blocks that lie inside image b and hold no masked pixel, else 0.
     Masks (h, w) uint8 are 1 where the whole block around a pixel is usable; empty if nothing is masked.
     """
     ny, nx = u.shape

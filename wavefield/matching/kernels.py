@@ -1,11 +1,15 @@
-"""The inner loops over pixels: sums over the blocks of an image.
+"""The inner loops over pixels, which sum over the blocks of an image.
 
-What lets LLVM turn these plain loops into vector code, and must be kept:
+Three rules keep these loops fast (LLVM vectorises them) and numba's cache correct:
 
-* loops run along complete rows of the image;
-* the one loop that cannot, the sampling of a block, is written in vectors of eight (`_block_reader`);
-* the constants below are literals: numba's cache compiles them in and would not notice a change elsewhere;
-  loops of other files take them as the default of an argument, by which the cache distinguishes them.
+* Loops run along complete rows of the image.
+* The only loop that cannot, the sampling of a block, is written in vectors of eight (`_block_reader`).
+* The constants below are literals. Numba compiles them into its cache and would not notice that they were
+  changed in another file. Loops in other files take them as default arguments, which the cache does compare.
+
+Names: a is the first image, b the second; s and d are a row of a smoothed by the spline along y, and its
+derivative along y; `by` is the number of a row of blocks. In a residual, both images are smoothed by the
+quintic B-spline without prefilter.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,33 +28,34 @@ F = np.float32
 Array = np.ndarray
 
 BLOCK = 5  # side of a block, px: the step of the lattice
-TAPS = 6  # of the quintic B-spline
+TAPS = 6  # weights of the quintic B-spline along one axis
 SIDE = 10  # BLOCK + TAPS - 1: side of the patch of b that one block needs
-LANES = 8  # floats in a vector, of which BLOCK are needed
-MID = F(2.0)  # (BLOCK - 1) / 2
-PAD = 8  # replicated border of b, px
+LANES = 8  # floats in a vector register (AVX), of which BLOCK are needed
+MID = F(2.0)  # (BLOCK - 1) / 2: centre of a block, px from its first pixel
+PAD = 8  # width of the replicated border of a prepared image, px
 
 njit = compiled(fastmath=True, error_model="numpy")
-# A long function that is called is compiled alone and with its caller. The process that compiles runs one of
-# them, processes that load the cache the other; these may add in another order and differ in the last bits.
+# LLVM compiles a long function twice: alone, and as part of its caller. The process that compiles runs one
+# version, processes that load the cache run the other, and their sums may differ in the last bits. Inlining
+# leaves one version.
 inlined = compiled(fastmath=True, error_model="numpy", forceinline=True)
 
 
 class WorkSpace(NamedTuple):
     """Scratch arrays of the kernels, one set per thread."""
 
-    position: Array  # (2, nx) float32: column and row of b at which a block begins
-    whole: Array  # (2, nx) int32: their whole part
-    taps: Array  # (2, TAPS, nx) float32: weights of their fraction
-    strip: Array  # (BLOCK, width) float32: b under a row of blocks
-    rows: Array  # (19, width) float32: rows of a, its gradients, slopes, residuals, ...
+    position: Array  # (2, nx) float32: column and row of b at which each block begins
+    whole: Array  # (2, nx) int32: integer part of the positions
+    taps: Array  # (2, TAPS, nx) float32: spline weights for the fractional part
+    strip: Array  # (BLOCK, width) float32: b sampled at the displaced positions of one row of blocks
+    rows: Array  # (19, width) float32: rows of pixels of a: splines, gradients, slopes, residuals
     sums: Array  # (12, width) float32: sums over the rows of a block
 
 
 def work_space(nx: int) -> WorkSpace:
-    """Work space for `nx` blocks in a row."""
-    # rows begin three cache lines beyond a multiple of sixteen apart: those of an image of 1024 px would else
-    # begin a page apart, evict each other from the cache and seem to the processor to overlap
+    """Scratch arrays for images with `nx` blocks in a row."""
+    # The distance between rows is three cache lines more than a multiple of 1024 bytes. Rows of an image of
+    # 1024 px would otherwise lie exactly a page apart, where they evict each other from the cache.
     width = nx * BLOCK + 8
     width += (48 - width) % 256
     lines = np.empty((BLOCK + 19 + 12, width), np.float32)
@@ -66,9 +71,9 @@ def work_space(nx: int) -> WorkSpace:
 
 @njit
 def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
-    """Row y of an image smoothed by the quintic B-spline along y, and its derivative along y.
-    image (h + 2 PAD, w + 2 PAD) includes its border; the outputs s, d (w + 4) start two pixels left of the
-    image.
+    """Smooth row y of an image along y by the quintic B-spline (s), and differentiate it along y (d).
+
+    image (h + 2 PAD, w + 2 PAD) includes its border; s and d (w + 4) start two pixels left of the image.
     """
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
     d1, d2 = F(10 / 24), F(1 / 24)
@@ -81,7 +86,7 @@ def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
 
 @njit
 def _value(s: Array, x: int) -> np.float32:
-    """Smooth along the row: the spline at pixel x of s, which starts two pixels left of the image."""
+    """Spline along the row at pixel x of s, which starts two pixels left of the image."""
     out: np.float32 = (
         F(66 / 120) * s[x + 2] + F(26 / 120) * (s[x + 1] + s[x + 3]) + F(1 / 120) * (s[x] + s[x + 4])
     )
@@ -97,7 +102,7 @@ def _slope(s: Array, x: int) -> np.float32:
 
 @njit
 def _spline_row(image: Array, y: int, rows: Array, n: int) -> None:
-    """Row y of an image smoothed with the quintic B-spline, and its derivatives, into rows 2, 3 and 4."""
+    """Write row y of an image, smoothed by the quintic B-spline, and its gradients into rows 2, 3 and 4."""
     s, d = rows[0][: n + 4], rows[1][: n + 4]
     a, gx, gy = rows[2][:n], rows[3], rows[4]
     _spline_columns(image, y, s, d)
@@ -119,7 +124,10 @@ def _fold(row: Array, out: Array) -> None:
 
 @njit
 def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
-    """Sums per block of the products of a's gradients, times 1, x and y in the block: (9, ny, nx)."""
+    """Write sums per block of gx gx, gx gy, gy gy of image a, times 1, x and y, to out (9, ny, nx).
+
+    x and y are pixels from the centre of the block.
+    """
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -152,7 +160,7 @@ def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
 
 @inlined
 def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
-    """As `_spline_columns`, with the second derivative along y in e (w + 4)."""
+    """Do what `_spline_columns` does, and write the second derivative along y to e (w + 4)."""
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
     d1, d2 = F(10 / 24), F(1 / 24)
     r0, r1, r2 = image[y + PAD - 2][PAD - 2 :], image[y + PAD - 1][PAD - 2 :], image[y + PAD][PAD - 2 :]
@@ -173,7 +181,8 @@ def _bend(s: Array, x: int) -> np.float32:
 
 @inlined
 def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None:
-    s0, s1, s2, s3, s4, s5, s6, s7 = totals  # as a tuple: slices made here would not become vector code
+    """Add one row of pixels to the sums of `strain_moments`."""
+    s0, s1, s2, s3, s4, s5, s6, s7 = totals  # loops over slices that are made here do not vectorise
     for x in range(len(s0)):
         p, q, a = _slope(s, x), _value(d, x), _value(s, x)
         xx, xy, yy = _bend(s, x), _slope(d, x), _value(e, x)
@@ -189,7 +198,7 @@ def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None
 
 @njit
 def strain_moments(image: Array, work: WorkSpace, out: Array) -> None:
-    """Sums per block of a's gradients times a and times its second derivatives: (8, ny, nx)."""
+    """Write sums per block of gx a, gy a, then of gx and of gy times a_xx, a_xy, a_yy, to out (8, ny, nx)."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -215,16 +224,17 @@ def _block_reader(
     along_x: types.Type,
     along_y: types.Type,
 ) -> tuple[Signature, Callable[..., ir.Value]]:
-    """Make a function that samples BLOCK rows of LANES pixels of `image` at a fractional position.
-    It uses TAPS weights along x, then along y; reads from element `start` with row length `stride`, and
-    writes
-    from element `to` with row length `width`.
+    """Generate the LLVM code of `_read_block(image, start, stride, strip, to, width, along_x, along_y)`.
+
+    It samples BLOCK rows of LANES pixels of `image` at a fractional position, with TAPS weights along x and
+    then along y. It reads from element `start` of rows of length `stride`, and writes from element `to` of
+    rows of length `width`.
     """
 
     def build(
         context: BaseContext, builder: ir.IRBuilder, signature: Signature, arguments: Sequence[ir.Value]
     ) -> ir.Value:
-        # plain loops over so few pixels do not become vector code: with them a step takes 11 % longer
+        # plain loops over so few pixels do not vectorise, which makes a whole step 11 % slower
         vector = ir.VectorType(ir.FloatType(), LANES)
         _, at, stride, _, to, width, along_x, along_y = arguments
         source, target = (
@@ -287,7 +297,7 @@ def _spline_taps(position: Array, whole: Array, taps: Array) -> None:
 
 @njit
 def _get(taps: Array, b: int) -> tuple[np.float32, ...]:
-    """The taps of one block as a tuple, which stays in registers."""
+    """The spline weights of one block as a tuple, which stays in registers."""
     return taps[0, b], taps[1, b], taps[2, b], taps[3, b], taps[4, b], taps[5, b]
 
 
@@ -301,7 +311,7 @@ def _spread(values: Array, out: Array) -> None:
 
 @njit
 def _spread_ramps(slopes: Array, out: Array) -> None:
-    """In each block a line of the given slope that is 0 at the block's middle."""
+    """Write to each block of a row a straight line of the given slope that is 0 at the block's centre."""
     for b in range(len(slopes)):
         for k in range(BLOCK):
             out[b * BLOCK + k] = slopes[b] * (F(k) - MID)
@@ -309,7 +319,7 @@ def _spread_ramps(slopes: Array, out: Array) -> None:
 
 @njit
 def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> None:
-    """Sample image b below one row of blocks, each shifted by its own displacement, into `strip`."""
+    """Sample image b at the displaced positions of one row of blocks into `strip`."""
     position, whole, taps, strip = work.position, work.whole, work.taps, work.strip
     nx = len(u)
     h, w = image.shape
@@ -328,6 +338,7 @@ def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> N
 
 @njit
 def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
+    """Add one row of pixels to the sums of `plain_sums`."""
     n = len(s) - 4
     s0, s1 = sums[0][:n], sums[1]
     for x in range(len(s0)):
@@ -338,8 +349,10 @@ def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
 
 @njit
 def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace, out: Array) -> None:
-    """Sums per block of gx r and gy r, with r = a - b(x + d) and d constant in the block: (2, ny, nx).
-    The images first, second (h + 2 PAD, w + 2 PAD) include their border; u, v (ny, nx) are d, px.
+    """Write the scores, sums per block of gx r and gy r, to out (2, ny, nx).
+
+    r = a - b(x + d), with the displacement d = (u, v), px, constant in the block; u and v are (ny, nx). The
+    images first, second (h + 2 PAD, w + 2 PAD) include their border.
     """
     n = u.shape[1] * BLOCK
     s, d = work.rows[0][: n + 4], work.rows[1][: n + 4]
@@ -353,13 +366,16 @@ def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace,
             _fold(work.sums[k], out[k, by])
 
 
-# Rows of the work space in the sums below: 0, 1 splines along y; 5 to 8 the slopes of the displacement, one
-# per pixel; from 9 on what is kept of every pixel.
+# The functions below use these rows of the work space: 0 and 1 for the splines along y, 5 to 8 for the four
+# displacement gradients at every pixel, from 9 on for values and residuals at every pixel.
 
 
 @njit
 def _spread_slopes(slopes: Array, by: int, rows: Array) -> None:
-    """Copy the displacement gradients (4, ny, nx) of one row of blocks to its pixels."""
+    """Write the terms of the displacement gradients (4, ny, nx) at each pixel of a row of blocks.
+
+    Gradients along x are multiplied by the distance from the block's centre, those along y are not yet.
+    """
     _spread_ramps(slopes[0, by], rows[5])
     _spread(slopes[1, by], rows[6])
     _spread_ramps(slopes[2, by], rows[7])
@@ -376,6 +392,7 @@ def _residual_row(
     r: Array,
     sums: tuple[Array, ...],
 ) -> None:
+    """Write values a and residuals r of a row of pixels, y px below the block's centre; sum the scores."""
     s, d = splines
     ux, uy, vx, vy = slopes
     s0, s1 = sums
@@ -390,8 +407,9 @@ def _residual_row(
 
 @njit
 def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
-    """Sums of r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over the rows of a strip, for n pixels.
-    a and r (BLOCK, n + 4) start one pixel left of the first sum.
+    """Sum r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over the rows of a strip, for each of n columns.
+
+    a and r (BLOCK, n + 4) start one pixel left of the first column; ga, gb are gradients along x.
     """
     s5, s6, s7, s8, s9, s10, s11 = totals
     for x in range(len(s5)):
@@ -420,16 +438,18 @@ def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
 def final_sums(
     first: Array, second: Array, u: Array, v: Array, slopes: Array, work: WorkSpace, out: Array
 ) -> None:
-    """Sums per block of gx r, gy r (0, 1); r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 (5 to 11).
-    r = a - b(x + d), with d linear in the block: its slopes (4, ny, nx); ga, gb are the gradients along x of
-    the two images. Planes 2 to 4 of out (12, ny, nx), for sums of a's gradients, are left alone.
+    """Write sums per block to out (12, ny, nx), for the scores, the correlation and the common gradients.
+
+    Planes 0 and 1 hold gx r, gy r; planes 5 to 11 hold r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2. Here
+    r = a - b(x + d), d is linear in the block with slopes (4, ny, nx), and ga, gb are the gradients along x
+    of the two images. Planes 2 to 4, for the Hessian, are not written.
     """
     n = u.shape[1] * BLOCK
     rows, sums = work.rows, work.sums
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
     scores = sums[0][:n], sums[1]
     totals = sums[5][:n], sums[6], sums[7], sums[8], sums[9], sums[10], sums[11]
-    a, r = rows[9:14], rows[14:19]  # whole rows: loops over cut ones do not become vector code
+    a, r = rows[9:14], rows[14:19]  # complete rows: loops over slices of them do not vectorise
     for by in range(len(u)):
         _warp_strip(second, by, u[by], v[by], work)
         _spread_slopes(slopes, by, rows)
@@ -438,20 +458,22 @@ def final_sums(
             _spline_columns(first, by * BLOCK + j, splines[0], splines[1])
             _residual_row(splines, spread, work.strip[j], F(j) - MID, a[j, 1:], r[j, 1:], scores)
             for row in (a[j], r[j]):
-                row[0], row[n + 1] = row[2], row[n - 1]  # no slope at the edge
+                row[0], row[n + 1] = row[2], row[n - 1]  # makes the gradient at the edge zero
         _strip_sums(a, r, totals)
         for k in (0, 1, 5, 6, 7, 8, 9, 10, 11):
             _fold(sums[k], out[k, by])
 
 
-# Whole beads: what a pixel contributes counts in the block in which the top of its bead lies, to which the
-# steepest way leads from it. Over a whole bead a gain of its light contributes no score.
+# Whole beads. Every pixel is assigned to the block that contains the brightest point (top) of its bead, which
+# steepest ascent from the pixel reaches. A bead that is brighter in one image than in the other then adds
+# nothing to the score, because its contributions cancel over the whole bead.
 
 
 @njit
 def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.int32, out: Array) -> None:
-    """For a row of pixels: number of the brightest pixel among each pixel and its eight neighbours.
-    The input rows start one pixel to the left; `first` is the number of the first pixel in the image.
+    """Write for each pixel of a row the index of the brightest of the pixel and its eight neighbours.
+
+    The input rows start one pixel to the left; `first` is the index in the image of the row's first pixel.
     """
     for x in range(len(out)):
         at = np.int32(first + x)
@@ -470,20 +492,20 @@ def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.i
 
 @njit
 def bead_blocks(image: Array, out: Array) -> None:
-    """Number of the block that holds the top of each pixel's bead, (h, w).
-    From each pixel the steepest ascent leads to the top. The border of the image must be lower than its
-    inside.
+    """Write for each pixel the number of the block that contains the top of its bead, to out (h, w).
+
+    The top is found by steepest ascent. All pixels of the border must be darker than the image.
     """
     h, w = out.shape
     for y in range(h):
         r = y + PAD
         above, row, below = image[r - 1][PAD - 1 :], image[r][PAD - 1 :], image[r + 1][PAD - 1 :]
         _uphill(above, row, below, np.int32(y * w), np.int32(w), out[y])
-        for x in range(w):  # tops hold their block, below 0, all others the number of a pixel
+        for x in range(w):  # a top stores -1 - its block, every other pixel the index of the next pixel
             if out[y, x] == y * w + x:
                 out[y, x] = -1 - (y // BLOCK * (w // BLOCK) + x // BLOCK)
     to = out.ravel()
-    # two sweeps without branches leave few ways to go: processors mispredict loops of unknown length
+    # two sweeps without branches shorten most paths: processors mispredict loops of unknown length
     for k in range(len(to)):
         at, further = to[k], to[max(to[k], 0)]
         to[k] = at if at < 0 else further
@@ -501,8 +523,9 @@ def bead_blocks(image: Array, out: Array) -> None:
 
 @njit
 def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> None:
-    """Sums of gx gx, gx gy, gy gy over the pixels assigned to each block, (ny nx, 3).
-    block (h, w) is the assignment from `bead_blocks`.
+    """Write the Hessian of each block, summed over the pixels assigned to it, to out (ny nx, 3).
+
+    block (h, w) is the assignment of `bead_blocks`.
     """
     h, n = block.shape
     out[:] = F(0)
@@ -520,6 +543,7 @@ def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> No
 def _scores_of_pixels(
     splines: tuple[Array, ...], slopes: tuple[Array, ...], b: Array, y: np.float32, to: tuple[Array, ...]
 ) -> None:
+    """Write gx r and gy r of each pixel of a row, y px below the block's centre."""
     s, d = splines
     ux, uy, vx, vy = slopes
     along, down = to
@@ -541,8 +565,9 @@ def bead_scores(
     work: WorkSpace,
     out: Array,
 ) -> None:
-    """Write the scores of each block to out (ny nx, 2): sums of gx r and gy r over its pixels.
-    gx, gy are gradients of the first image, r the residual as in `final_sums`; block (h, w) assigns pixels.
+    """Write the score of each block, summed over the pixels assigned to it, to out (ny nx, 2).
+
+    The residual is that of `final_sums`; block (h, w) is the assignment of `bead_blocks`.
     """
     n = u.shape[1] * BLOCK
     rows = work.rows
@@ -564,9 +589,10 @@ def bead_scores(
 
 @njit
 def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
-    """Sums per block of a b, with b shifted by dy rows and by `first`, `first` + 1, ... columns.
-    b (h + 2 margin, w + 2 margin); row (nx BLOCK,) is scratch; out (ny, shifts, nx + 2 border) has its edge
-    repeated in the border.
+    """Write sums per block of a b, with b shifted by dy rows and by `first`, `first` + 1, ... columns.
+
+    b is (h + 2 margin, w + 2 margin); row (nx BLOCK,) is scratch. out (ny, shifts, nx + 2 border) repeats its
+    edge values in the border.
     """
     ny, n, width = out.shape
     nx = len(row) // BLOCK

@@ -1,4 +1,9 @@
-"""The spectrum of a field on a lattice of blocks, from the fields of sample frames."""
+"""Learn the spectrum of a field on a lattice of blocks from sample frames.
+
+`first_prior` takes the spectrum of windowed fields. `refined_prior` replaces it by that of the MAP fields
+which it gives, with their noise subtracted; this is repeated. Wavenumbers are grouped in rings, and rings in
+sectors of direction (`WavenumberRings`). A ring is significant if its power stands out from the noise.
+"""
 
 from __future__ import annotations
 
@@ -24,23 +29,24 @@ from wavefield.matching.spectrum import (
 
 Float = NDArray[np.floating[Any]]
 
-SHRINKAGE_MODES = 2.0  # a sector of so many modes and its ring have equal weights
-RING_SMOOTHING = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0  # weights of rings with similar directions
-LIMIT_STANDARD_DEVIATIONS = 2.0  # above its power: upper limit of a ring that is not significant
-SHORTEST_IN_LIMITS = 0.5 * np.pi  # rad per block: what shorter waves show of a spectrum is noise
-MIN_POWER_TO_NOISE = 0.01  # least of a spectrum before the power law
-FULL_WAVE_FRACTION = 0.5  # of the variance that a spectrum gives: with so much all of it is waves
-FULL_SIGNAL_TO_NOISE = 3.0  # the same over the noise
-SLOPE_RANGE = -9.0, -3.0  # of the power law that extrapolates a spectrum
-SLOPE_RINGS = 6  # from which the slope is fitted
+# A sector with this many modes has the same weight as the mean of its ring; with fewer, the ring prevails.
+SHRINKAGE_MODES = 2.0
+RING_SMOOTHING = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0  # weights of neighbouring rings, for directions
+LIMIT_STANDARD_DEVIATIONS = 2.0  # upper limit of a ring that is not significant: its power plus 2 std
+SHORTEST_IN_LIMITS = 0.5 * np.pi  # rad per block: fields contain only noise at higher wavenumbers
+MIN_POWER_TO_NOISE = 0.01  # lower bound of a ring's power over the noise, which keeps logarithms finite
+FULL_WAVE_FRACTION = 0.5  # `shrinkage` is 1 from this fraction of the variance that the spectrum predicts
+FULL_SIGNAL_TO_NOISE = 3.0  # and from this ratio of signal to noise variance
+SLOPE_RANGE = -9.0, -3.0  # permitted exponents of the power law that extrapolates a spectrum
+SLOPE_RINGS = 6  # the exponent is fitted to the last significant rings, this many
 
 
 def first_prior(fields: Sequence[Float], information: float, area: float = FOOTPRINT_VARIANCE) -> Prior:
-    """Prior with the isotropic spectrum of windowed fields (c, ny, nx) of sample frames without holes.
+    """Prior with the isotropic spectrum of windowed fields (c, ny, nx) of sample frames.
 
-    Their edge slopes are subtracted. Windows damp short waves: `Prior.with_min_signal_to_noise` opens the
-    prior for those before the spectrum is refined. `information` is that of a block; `area` is what the value
-    of a block averages over, px^2.
+    The fields have no holes and no slopes at their edges (`edge_field` was subtracted). Windows damp short
+    waves, so `Prior.with_min_signal_to_noise` raises this spectrum before it is refined. `information` is the
+    typical information of a block; `area` is the variance of the area that its value averages over, px^2.
     """
     binning = WavenumberRings(*wavenumbers(fields[0].shape[-2:]))
     power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
@@ -54,19 +60,22 @@ def refined_prior(
     information: float,
     noise_alone: Sequence[tuple[Float, float]] = (),
 ) -> Prior:
-    """Prior from the coefficients (c, my, mx) of the MAP fields that another prior gave of sample frames.
+    """Prior with the spectrum of the MAP fields that a previous prior gave of sample frames.
 
-    Of a mode with spectrum S and noise N = 1 / (F^2 A), the MAP field keeps G = S / (S + N), and so
-    G^2 (S + N) of its power: S = sum(|D|^2 - G^2 N) / sum G^2 over the modes of a ring, and over those of
-    every sector of it. A spectrum may have gaps and several peaks: a ring counts where S is significant
-    against N. In gaps S is the upper limit of what could be there undetected. Beyond the last ring that
-    counts it is a power law, no higher than that limit, with constant sectors. Directions are averaged over
-    neighbouring rings, and sectors of few modes shrink to their ring.
+    `waves` are their cosine coefficients (c, my, mx). For a mode with spectrum S and noise N = 1 / (F^2 A), a
+    MAP field has the gain G = S / (S + N), so its power is G^2 (S + N). The mean over the modes of a ring, or
+    of a sector of it, gives S = sum(|D|^2 - G^2 N) / sum G^2, with the coefficients D.
 
-    Fields of noise alone that the same prior gave, with their information, measure how noise changes from
-    ring to ring. Its level is the least of the power over what is expected of it.
+    A spectrum may have gaps and several peaks. In rings that are not significant, S is the upper limit of the
+    waves that could be there undetected. Beyond the last significant ring S is a power law, at most this
+    limit, with constant directions. Directions are averaged over neighbouring rings, and sectors with few
+    modes are drawn towards the mean of their ring.
+
+    `noise_alone` holds fields without waves that the previous prior gave, each with its information. They
+    show how the noise varies from ring to ring. Its level comes from the ring with the smallest ratio of
+    power to expected noise.
     """
-    if not information > 0:  # nothing was visible
+    if not information > 0:  # no block has information
         return prior
     spectrum, binning = prior.spectrum(modes.kx, modes.ky), WavenumberRings(modes.kx, modes.ky)
     measured, of_sectors, noise = _signals_and_noise(
@@ -101,8 +110,10 @@ def _signals_and_noise(
     binning: WavenumberRings,
     noise_alone: Sequence[tuple[Float, float]],
 ) -> tuple[Float, Float, Float]:
-    """Power of waves in rings (c, rings) and sectors (c, sectors, rings) and of noise in rings, gains undone.
-    Fields of pure noise give its shape over the rings; rings without waves give its level.
+    """Power of waves in rings (c, rings) and sectors (c, sectors, rings), and of noise in rings (c, rings).
+
+    All are divided by the squared gain of the MAP field. Fields of noise alone give the shape of the noise
+    over the rings; rings without waves give its level.
     """
 
     def block_noise(of: float) -> Float:
@@ -126,7 +137,7 @@ def _signals_and_noise(
 def _over_gain(
     fields: Sequence[Float], spectrum: Float, noise: Float, mean: Callable[[Float], Float]
 ) -> tuple[Float, Float]:
-    """Mean power of MAP fields of a spectrum, and of their noise, divided by the squared gain."""
+    """Mean power of MAP fields and of their noise, both divided by the mean squared gain."""
     power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
     spectrum = np.broadcast_to(spectrum, power.shape)
     squared_gain = np.square(spectrum / (spectrum + noise))
@@ -137,8 +148,9 @@ def _over_gain(
 def _undetected_fraction(
     measured: Float, rings: Float, noise: Float, detected: NDArray[np.bool_], binning: WavenumberRings
 ) -> float:
-    """Fraction of the upper limits that rings without significant waves really contain.
-    From a straight-line fit of power over noise against limit over noise.
+    """Fraction of their upper limits that rings without significant waves contain, 0 to 1.
+
+    It is the slope of a line fitted to power over noise against limit over noise.
     """
     limit, found = rings / noise, measured / noise
     weight = binning.count * (~detected & (binning.middle < SHORTEST_IN_LIMITS))
@@ -151,7 +163,8 @@ def _undetected_fraction(
 
 def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
     """Power of the sectors relative to their ring, (c, sectors, rings).
-    Averaged over neighbouring rings, shrunk towards 1 where modes are few, and constant beyond the last
+
+    It is averaged over neighbouring rings, drawn towards 1 where modes are few, and constant beyond the last
     significant ring of each component.
     """
     for one, last in zip(weight, lasts):
@@ -169,10 +182,11 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
 
 
 def shrinkage(variance: float, noise: float, waves: float) -> float:
-    """Fraction of a spectrum that is waves, from the variance of fields and its parts by noise and by waves.
+    """Fraction of a learned spectrum that is waves, 0 to 1; the rest is noise of long wavelength.
 
-    It is 1 where the variance is half of what the spectrum would give, or four times that of the noise; less
-    in proportion.
+    variance is that of the MAP fields; noise and waves are the variances that the noise and the spectrum
+    predict for them. The fraction is 1 if variance - noise is at least half of the predicted waves, or three
+    times the noise; below, it falls in proportion.
 
     >>> shrinkage(4.0, 1.0, 3.0), round(shrinkage(1.0, 1.0, 3.0), 3)
     (1.0, 0.0)
@@ -183,7 +197,7 @@ def shrinkage(variance: float, noise: float, waves: float) -> float:
 
 
 def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
-    """Power over noise of rings without waves: the smallest mean over neighbouring rings."""
+    """Ratio of power to noise in rings without waves: the smallest mean over neighbouring rings."""
     if ratio.size < NOISE_RINGS:
         return 1.0
     box = np.ones(NOISE_RINGS)
@@ -198,7 +212,7 @@ def _extrapolated(
     noise: float,
     upper_limit: Float | float = np.inf,
 ) -> tuple[float, ...]:
-    """The spectrum continued beyond its first `last` rings by a power law, at most the upper limit."""
+    """Extrapolate a spectrum beyond its first `last` rings by a power law below the upper limit."""
     out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
     first = max(last - SLOPE_RINGS, 1)
     slope = SLOPE_RANGE[1]
@@ -211,5 +225,6 @@ def _extrapolated(
 
 
 def _cosine_coefficients(field: Float) -> NDArray[Any]:
+    """Orthonormal cosine transform of a field (c, ny, nx)."""
     out: NDArray[Any] = scipy.fft.dctn(np.asarray(field, np.float64), axes=(-2, -1), norm="ortho", workers=1)
     return out

@@ -1,12 +1,14 @@
-"""The MAP field (optimal interpolation) on a lattice of blocks: all blocks weighted against the spectrum.
+"""The MAP field on a lattice of blocks: optimal interpolation (kriging) of the blocks with a known spectrum.
 
-With the score s and the matched Hessian H of the blocks at the field u that matching reached, nu the noise
-of the scores, A = H / nu, F the footprint of a block and S the field's spectrum, the field f solves
+u is the field that matching found, and s the scores of the blocks at u. With the information A of the blocks,
+the noise nu of their scores, the footprint F of a block and the spectrum S of the field, the MAP field f
+solves
 
     (F A F + 1/S) f = F (A u + s / nu).
 
-F and S are diagonal in cosines, A is diagonal in blocks; a hole has A = 0. Each of two components has an S of
-its own.
+F and S are diagonal in cosine modes, A is diagonal in blocks and zero in holes. The two components of a
+displacement have separate spectra. "Waves" in names are the cosine coefficients of a field; `seen` is the
+field averaged over the footprint, which is what the blocks measure.
 """
 
 from __future__ import annotations
@@ -27,41 +29,43 @@ Float = NDArray[Any]
 F = np.float32
 Mask = NDArray[np.bool_]
 
-MIN_SIGNAL_TO_NOISE = 2e-2  # of a mode, and so the gain below which it is left out
-MAX_ITERATIONS = 200  # at most; some ten are usual
+MIN_SIGNAL_TO_NOISE = 2e-2  # modes below are left out: their gain would be at most as small
+MAX_ITERATIONS = 200  # of the solver; about ten are usual
 HOLE_KERNEL = np.ones((5, 5), np.uint8)  # blocks: smaller holes converge as fast as the rest
-TOLERANCES_WITH_HOLES = 0.03, 0.007  # of the solver, in the first and the second evaluation
-TOLERANCES = 0.2, 0.05  # the same without holes
+# tolerances of the solver (`Modes.solve`) in the first evaluation of the images and in later ones
+TOLERANCES_WITH_HOLES = 0.03, 0.007  # a loose tolerance would leave holes wrong
+TOLERANCES = 0.2, 0.05
 Factor = tuple[Float, Float]
 
-EXACT_MODES = 300  # modes of the highest signal over noise that are solved exactly
-# blocks: width over which slopes are fitted, and length over which the field decays. Wide enough that the
-# noise of a slope is small, and short against the lattice.
+EXACT_MODES = 300  # modes with the highest signal-to-noise ratio, whose coupling the preconditioner inverts
+# blocks over which the slope at an edge is fitted, and decay length of the field that has this slope: wide
+# enough that the noise of a slope is small, and short compared with the lattice
 EDGE_REACH = 6
 
-# sums may be reordered by the compiler, but in the same way on every call
+# the compiler may reorder sums, but does so in the same way on every call
 reassociating = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 in_order = compiled(error_model="numpy")
 
 
 class Modes:
-    """The cosine modes of a MAP field: those with more than a fiftieth of signal over noise.
+    """The cosine modes of a MAP field with a signal-to-noise ratio above 0.02, and the solver for them.
 
-    The lattice is (ny, nx); where `requested` is false the field does not matter. Wavenumbers kx (mx,) and
-    ky (my, 1) are in rad per block; foot (my, mx) and inverse (1 or c, my, mx) are the footprint and the
-    inverse spectrum of the modes.
+    The lattice has `shape` (ny, nx) blocks; holes matter only in blocks where `requested` is true.
+    Attributes: wavenumbers kx (mx,) and ky (my, 1), rad per block; footprint foot (my, mx) and inverse
+    spectrum inverse (1 or c, my, mx) of the modes; freedom, the fraction of the scores' variance that remains
+    after the fit.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
         self.prior = prior
         self._requested = np.ones(shape, np.bool_) if requested is None else requested.copy()
-        inside = np.zeros(shape, np.bool_)  # the surroundings of the edge are not a hole
+        inside = np.zeros(shape, np.bool_)  # blocks near the edge never count as a hole
         inside[EDGE_REACH:-EDGE_REACH, EDGE_REACH:-EDGE_REACH] = True
         self._requested &= inside
         kx, ky = wavenumbers(shape)
         foot, spectrum, ratio = prior.footprint(kx, ky), prior.spectrum(kx, ky), prior.signal_to_noise(kx, ky)
         rows, columns = np.nonzero((ratio > MIN_SIGNAL_TO_NOISE).any(axis=0))
-        # whole vectors, and as many even as odd ones
+        # a multiple of eight modes (vector registers), and as many even as odd ones
         my, mx = (
             min(n // 2 * 2, (int(i.max(initial=3)) + 8) // 8 * 8)
             for n, i in zip(shape, (rows, columns), strict=True)
@@ -73,7 +77,7 @@ class Modes:
         self._cosines = Cosines(shape, (my, mx))
         self._by_parity = [self._cosines.split_parities(f) for f in (self.foot[None], self.inverse)]
         self.freedom = float(np.mean([_freedom(one / (one + 1.0)) for one in ratio]))
-        # signal over noise of single blocks, which also is that of slopes fitted to them
+        # signal-to-noise ratio of single blocks, and so of the edge slopes that are fitted to them
         of_blocks = prior.information * spectrum.mean(axis=(1, 2))
         self._kept = np.minimum(of_blocks, 1.0).astype(np.float32)[:, None, None]
         self._preconditioner = Preconditioner(
@@ -99,22 +103,25 @@ class Modes:
         return self._cosines.field(waves)
 
     def seen(self, waves: Float) -> Float:
-        """The field as blocks see it, averaged over their footprint, (c, ny, nx)."""
+        """Field (c, ny, nx) averaged over the footprint of a block, from coefficients (c, my, mx)."""
         return self.field(self.foot * waves)
 
     def split(self, field: Float) -> tuple[Float, Float]:
         """Split a field (c, ny, nx) without holes into a smooth part and cosine coefficients (c, my, mx).
-        The smooth part has the slopes at the edges, which cosines cannot have; noisy slopes are reduced.
+
+        The smooth part (`edge_field`) has the field's slopes at the edges, where cosines have none. It is
+        reduced if the slopes are noisy.
         """
         edges = self._kept * edge_field(field)
         return edges, self.waves(field - edges)
 
     def factor(self, information: Float) -> Factor:
-        """Preconditioner for `solve` with the information (ny, nx), the same for both components."""
+        """Factorised preconditioner for `solve` with the information (ny, nx), common to both components."""
         return self._preconditioner.factor(information)
 
     def tolerances(self, information: Float) -> tuple[float, float]:
-        """Tolerances of `solve` for the first and the second evaluation with the information (ny, nx).
+        """Tolerances of `solve` for the first and for later evaluations, with the information (ny, nx).
+
         They are smaller if there are holes, where the field converges last.
         """
         hole = hole_mask(information, self.prior.information) & self._requested
@@ -131,10 +138,10 @@ class Modes:
     ) -> Float:
         """Solve (F A F + 1/S) f = F b by preconditioned conjugate gradients; return f, (c, my, mx).
 
-        information (1 or 3, ny, nx) is A of one field, or A_xx, A_xy, A_yy of two; right (c, ny, nx) is b =
-        A u + s / nu, u less its smooth part of `split`; start (c, my, mx) the first guess and seen its
-        `seen`, where it is at hand. The tolerance is that of the residual in its own uncertainty, rms over
-        the modes.
+        `information` (1 or 3, ny, nx) is A of one component, or A_xx, A_xy, A_yy of two. `right` (c, ny, nx)
+        is b = A u + s / nu, with u less its smooth part (`split`). `start` (c, my, mx) is the first guess;
+        `seen` is its field averaged over the footprint, computed if None. The solver stops if the rms over
+        the modes of the residual, in units of its own uncertainty, is below `tolerance`.
         """
         a, c = information, len(right)
         seen = self.seen(start) if seen is None else seen
@@ -172,7 +179,7 @@ def _apply_information(a: Float, field: Float) -> Float:
 
 @reassociating
 def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
-    """Turn A F p into (F A F + 1/S) p for the direction p; return its product with p."""
+    """Replace A F p in `image` by (F A F + 1/S) p for the direction p; return the inner product with p."""
     total = F(0)
     for i in range(len(image)):
         value = foot[i] * image[i] + inverse[i] * direction[i]
@@ -183,6 +190,7 @@ def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) ->
 
 @reassociating
 def _advance(length: F, direction: Float, image: Float, waves: Float, residual: Float) -> None:
+    """Take a conjugate-gradient step of the given length, and update the residual."""
     for i in range(len(waves)):
         waves[i] += length * direction[i]
         residual[i] -= length * image[i]
@@ -190,18 +198,20 @@ def _advance(length: F, direction: Float, image: Float, waves: Float, residual: 
 
 @reassociating
 def _update_direction(ratio: F, step: Float, direction: Float) -> None:
+    """Compute the next conjugate direction."""
     for i in range(len(step)):
         direction[i] = ratio * direction[i] + step[i]
 
 
 def _freedom(gain: Float) -> float:
-    """Fraction of the variance of clustered scores that remains after a fit with this gain."""
+    """Fraction of the variance of the scores of clusters that remains after a fit with these gains."""
     rows, columns = (_box(n) for n in gain.shape)
     power = np.square(rows[:, None] * columns)
     return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
 
 
 def _box(n: int) -> NDArray[np.float64]:
+    """Cosine gains (n,) of the sum over a cluster, along one axis."""
     m = np.arange(1, CLUSTER // 2 + 1)[:, None]
     out: NDArray[np.float64] = 1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0)
     return out
@@ -209,14 +219,14 @@ def _box(n: int) -> NDArray[np.float64]:
 
 # Cosine transforms by parity.
 #
-# A cosine is even or odd about the middle of its lattice, so a quarter of the lattice determines each of the
-# four combinations of parities; transforming these separately halves the cost. Coefficients *by parity* are
-# (2, my / 2, 2, c, mx / 2), the parities along y and x each before their index; *quarters* are
-# (2, hy, 2, c, hx) with hy = ceil(ny / 2).
+# Every cosine is even or odd about the middle of the lattice. A field is therefore the sum of four parts,
+# even or odd along y and along x, and a quarter of the lattice determines each part. Transforming the parts
+# separately halves the cost. Coefficients *by parity* are an array (2, my / 2, 2, c, mx / 2), in which the
+# parity along each axis comes before the index; *quarters* are (2, hy, 2, c, hx), with hy = ceil(ny / 2).
 
 
 def cosines(n: int, count: int) -> NDArray[np.float64]:
-    """The first orthonormal cosines on n blocks, (count, n)."""
+    """The first `count` orthonormal cosines on n blocks, (count, n)."""
     phase = np.pi * np.arange(count)[:, None] * (np.arange(n) + 0.5) / n
     out: NDArray[np.float64] = np.cos(phase) * np.sqrt(2.0 / n)
     out[0] /= np.sqrt(2.0)
@@ -224,7 +234,7 @@ def cosines(n: int, count: int) -> NDArray[np.float64]:
 
 
 class Cosines:
-    """Transforms between fields on a lattice and the coefficients of their first cosines.
+    """Transforms between fields on a lattice (ny, nx) and the coefficients of their first (my, mx) cosines.
 
     Examples
     --------
@@ -260,7 +270,7 @@ class Cosines:
         return out
 
     def split_parities(self, waves: Float) -> Float:
-        """Sort coefficients (c, my, mx) into even and odd modes along both axes."""
+        """Sort coefficients (c, my, mx) by parity: into even and odd modes along both axes."""
         c, (my, mx) = len(waves), self.shape
         parts = waves.reshape(c, my // 2, 2, mx // 2, 2).transpose(2, 1, 4, 0, 3)
         return np.ascontiguousarray(parts, F)
@@ -278,7 +288,7 @@ class Cosines:
         return out
 
     def mirrored(self, field: Float) -> Float:
-        """A field (c, ny, nx) as its values at the four mirror-image positions, (2, 2, c, hy, hx)."""
+        """Values of a field (c, ny, nx) at the four mirror images of a quarter, (2, 2, c, hy, hx)."""
         (ny, nx), (hy, hx) = self.lattice, self._half
         # the middle of an odd number of blocks is its own mirror image and is counted once
         out = np.zeros((2, 2, len(field), hy, hx), F)
@@ -292,7 +302,7 @@ class Cosines:
         """Inverse of `coefficients_of`: quarters of a field from coefficients sorted by parity."""
         _, my, _, c, mx = by_parity.shape
         hy, hx = self._half
-        # rows in the middle: modes along y are the smaller part of their cosines
+        # transform along x first: there are fewer modes along y than blocks, so that the product is smaller
         part = np.empty((2 * my, 2, c, hx), F)
         flat = by_parity.reshape(2 * my, 2, c, mx)
         for parity in range(2):
@@ -315,6 +325,7 @@ class Cosines:
 
 @reassociating
 def _fold(field: Float, out: Float) -> None:
+    """Write the even and odd parts of a field to `out`, as quarters."""
     _, hy, _, c, hx = out.shape
     _, ny, nx = field.shape
     for n in range(c):
@@ -335,6 +346,7 @@ def _fold(field: Float, out: Float) -> None:
 
 @reassociating
 def _unfold(quarters: Float, out: Float) -> None:
+    """Write the sum of even and odd parts, given as quarters, to `out`."""
     _, hy, _, c, hx = quarters.shape
     _, ny, nx = out.shape
     for n in range(c):
@@ -376,6 +388,7 @@ def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
 
 @reassociating
 def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
+    """Multiply one row of quarters of one component by its information, in place."""
     ee, eo, oe, oo = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     for i in range(len(a0)):
         f0, f1, f2, f3 = _four_places(ee[i], eo[i], oe[i], oo[i])
@@ -386,6 +399,7 @@ def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom
 
 @reassociating
 def _multiply_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
+    """Multiply one row of quarters of two components by their information, in place."""
     ue, uo, pe, po = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     ve, vo, qe, qo = top[0, 1], top[1, 1], bottom[0, 1], bottom[1, 1]
     x0, x1, x2, x3 = a0[0], a1[0], a2[0], a3[0]
@@ -412,14 +426,13 @@ def _multiply_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom
         qe[i], qo[i] = (g0 - g2) + (g1 - g3), (g0 - g2) - (g1 - g3)
 
 
-# A smooth field with the slopes that another one has at the edges of its lattice.
-#
-# A cosine series has no slope there: without such a field, long waves that cross an edge would ring far into
-# the lattice. A quadratic fitted to the whole lattice does not serve: errors on texture grow by half.
+# A cosine series has no slope at the edges of the lattice, so long waves that cross an edge would ring far
+# into the field. A smooth field with the same edge slopes is therefore subtracted before the transform. A
+# quadratic fitted to the whole lattice instead makes errors on texture half as large again.
 
 
 def edge_field(field: Float) -> Float:
-    """The smooth field with the edge slopes of a given one.
+    """Smooth field with the same slopes at the edges as a given field.
 
     Parameters
     ----------
@@ -439,7 +452,7 @@ def edge_field(field: Float) -> Float:
 
 
 def _with_slopes_along_x(field: Float) -> Float:
-    """A field with the slopes of the first and last column, smoothed along the columns."""
+    """Field with the slopes of the first and last column, smoothed along the columns."""
     fit, profile, smoother = _tables(*field.shape[1:])
     first, last = field[..., :EDGE_REACH] @ fit @ smoother, field[..., -EDGE_REACH:] @ fit @ smoother
     return np.asarray(last[..., None] * profile - first[..., None] * profile[::-1])
@@ -447,7 +460,7 @@ def _with_slopes_along_x(field: Float) -> Float:
 
 @lru_cache(maxsize=16)
 def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
-    """For `edge_field`: weights of a slope, a profile (nx,) with slope 1 at the end, a smoother (ny, ny)."""
+    """Weights that fit a slope, a profile (nx,) with unit slope at its end, and a smoother (ny, ny)."""
     t = np.arange(EDGE_REACH, dtype=np.float32) - np.float32((EDGE_REACH - 1) / 2)
     profile = EDGE_REACH * np.exp((np.arange(nx) + 0.5 - nx) / EDGE_REACH)
     modes = cosines(ny, ny)
@@ -456,12 +469,11 @@ def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
     return t / (t * t).sum(), profile.astype(np.float32), ((modes.T * gain) @ modes).astype(np.float32)
 
 
-# Preconditioner: the exact coupling of the strongest modes, a diagonal for the others.
-
-
 class Preconditioner:
-    """Preconditioner of `Modes.solve`: diagonal, and an exact block of the strongest modes.
-    ratio, inverse and foot (my, mx): signal over noise, inverse spectrum and footprint of the modes.
+    """Preconditioner of `Modes.solve`: exact for the strongest modes, diagonal for the others.
+
+    ratio, inverse and foot (my, mx) are the signal-to-noise ratio, inverse spectrum and footprint of the
+    modes.
     """
 
     def __init__(self, lattice: tuple[int, int], ratio: Float, inverse: Float, foot: Float) -> None:
@@ -479,24 +491,24 @@ class Preconditioner:
         self._norm = norm.astype(np.float32)
         self._own_inverse = inverse.ravel()[order].astype(np.float32)
         self._square = np.square(foot.ravel()[order])
-        half = ratio.shape[1] // 2  # positions among the coefficients by parity
+        half = ratio.shape[1] // 2  # below: positions of the strongest modes in coefficients by parity
         line = (self._iy % 2 * (ratio.shape[0] // 2) + self._iy // 2) * 2 + self._ix % 2
         self._positions = {c: (line * c + np.arange(c)[:, None]) * half + self._ix // 2 for c in (1, 2)}
 
     def factor(self, information: Float) -> Factor:
-        """Cholesky factor of the exact block and its scaling, for an information (ny, nx)."""
+        """Cholesky factor and scaling of the matrix of the strongest modes, for the information (ny, nx)."""
         table = self._sum_rows @ information @ self._sum_columns
         scale = 1.0 / np.sqrt(self._own_inverse + self._square * F(information.mean()))
         count = self._norm.size
         matrix = np.zeros((count, count), np.float32)
         _assemble(table, self._iy, self._ix, self._norm * scale, self._own_inverse * scale * scale, matrix)
         lower, failed = scipy.linalg.lapack.spotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
-        if failed:  # by rounding: scaled as it is, its diagonal is about 1
+        if failed:  # rounding made it indefinite: keep the scaling alone, as the diagonal is about 1
             lower = np.eye(count, dtype=np.float32, order="F")
         return lower, scale.astype(np.float32)
 
     def apply(self, residual: Float, diagonal: Float, factor: Factor, out: Float) -> float:
-        """Write the preconditioned residual for the next step; return its product with the residual."""
+        """Write the preconditioned residual to `out`; return its inner product with the residual."""
         lower, scale = factor
         positions = self._positions[residual.shape[3]]
         gathered = np.empty(positions.shape, F)
@@ -509,6 +521,7 @@ class Preconditioner:
 
 @reassociating
 def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None:
+    """Copy the scaled residual of the strongest modes to out (c, modes)."""
     for n in range(len(positions)):
         for k in range(len(scale)):
             out[n, k] = residual[positions[n, k]] * scale[k]
@@ -518,7 +531,7 @@ def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None
 def _preconditioned(
     diagonal: Float, residual: Float, exact: Float, positions: Float, scale: Float, out: Float
 ) -> F:
-    """Apply the diagonal and the exact block to the residual; return the product with the residual."""
+    """Write the preconditioned residual to `out`; return its inner product with the residual."""
     for i in range(len(out)):
         out[i] = diagonal[i] * residual[i]
     for n in range(len(positions)):
@@ -532,7 +545,10 @@ def _preconditioned(
 
 @in_order
 def _assemble(table: Float, iy: Float, ix: Float, norm: Float, own: Float, out: Float) -> None:
-    """Lower triangle of F A F + 1/S for some modes, scaled. Products of cosines are sums of cosines."""
+    """Write the scaled lower triangle of F A F + 1/S for the strongest modes.
+
+    A product of two cosines is a sum of two cosines, so all elements come from one table of sums.
+    """
     for p in range(iy.size):
         for q in range(p + 1):
             y0, y1 = abs(iy[p] - iy[q]), iy[p] + iy[q]

@@ -1,4 +1,4 @@
-"""Uncertainty of the MAP field: the posterior's variance from the information around a block."""
+"""Posterior variance of the MAP field, from the information around each block."""
 
 from __future__ import annotations
 
@@ -18,20 +18,21 @@ from wavefield.matching.spectrum import Prior, wavenumbers
 Float = NDArray[Any]
 F = np.float32
 
-# information over the typical one at which variances are tabulated: from three times to a thousandth
+# levels of information at which variances are tabulated, over the typical one: 3 down to 1/1400
 INFORMATION_LEVELS = 3.0 * 4.0 ** np.arange(0.0, -7.0, -1.0)
-KERNEL_CUTOFF = 1e-3  # smaller values of a kernel's transform are left out
-EVERY = 4  # blocks: the variance is computed on every fourth, because it varies slowly, and interpolated
-MIN_WAVE_FRACTION = 1e-3  # of a spectrum: keeps logarithms finite
+KERNEL_CUTOFF = 1e-3  # modes at which the transform of a kernel is smaller are left out
+EVERY = 4  # blocks: the variance varies slowly, so it is computed at every fourth block and interpolated
+MIN_WAVE_FRACTION = 1e-3  # lower bound of the fraction that is waves, which keeps logarithms finite
 
 
 class PosteriorVariance:
-    """Variance of the MAP field on a lattice (ny, nx), as noise and as waves that the prior suppresses.
+    """Variance of the MAP field on a lattice (ny, nx): that of its noise, and that of the missing waves.
 
-    For uniform information A a mode has the variance 1 / (F^2 A + 1/S): the part F^2 A / (F^2 A + 1/S)^2 is
-    noise, the part 1/S / (F^2 A + 1/S)^2 missing waves. Where information varies, a block gets the value for
-    the mean information around it, weighted by the squared impulse response of the estimate. In holes it is
-    at least that of a field known at the rim alone (`hole_variance`).
+    Missing waves are those that the prior suppresses. For uniform information A, a mode has the posterior
+    variance 1 / (F^2 A + 1/S). Of this, F^2 A / (F^2 A + 1/S)^2 is noise and 1/S / (F^2 A + 1/S)^2 is missing
+    waves. If the information varies, a block gets the variance for the mean information around it, weighted
+    by the squared impulse response of the estimate. Inside holes the variance is at least that of a field
+    which is known only at the rim (`hole_variance`).
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
@@ -73,13 +74,13 @@ class PosteriorVariance:
         noise, missing = np.array([self._to_full_lattice(f) for f in log_variances]).reshape(
             2, -1, *self.shape
         )
-        # a frame that is darker than usual has less information everywhere, which is not a hole
+        # a frame that is darker than usual has less information everywhere; that is not a hole
         bare = information[information > 0]
         own = float(bare.mean()) if bare.size else np.inf
         hole = hole_mask(information, min(self.typical_information, own))
         if hole.any():
             hole = cv2.dilate(hole.view(np.uint8), np.ones((7, 7), np.uint8)) > 0
-            # the lower information around the hole has added a part of this already
+            # add only what is missing: the low information around the hole has raised the variance already
             depth = cv2.distanceTransform(hole.view(np.uint8), cv2.DIST_L2, 5)
             inside = [np.interp(depth, np.arange(len(one)), one) for one in self._holes]
             more = np.array(inside, np.float32) - noise - missing
@@ -95,9 +96,10 @@ class PosteriorVariance:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
-    """Interpolate log variances to the level of information that equals the local mean.
-    x (levels, ny, nx) is the local mean as the kernel of each level sees it; log (levels,) and variance
-    (n, levels) are logarithms, highest information first.
+    """Find the level of information that equals the local mean, and interpolate the log variances to it.
+
+    x (levels, ny, nx) is the local mean with the kernel of each level. log (levels,) and variance (n, levels)
+    are the logarithms of the tables, from the highest information to the lowest.
     """
     for j in range(x.shape[1]):
         for i in range(x.shape[2]):
@@ -114,25 +116,26 @@ def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
 
 
 def _impulse(gain: Float) -> Float:
-    """Response to a single block, (ny + 1, nx + 1), of a filter with the given cosine gains (ny, nx).
-    Only one quarter, as it is even along both axes; the gain of the two-block wave is taken as zero.
+    """Impulse response (ny + 1, nx + 1) of a filter with the cosine gains (ny, nx).
+
+    It is even along both axes, so one quarter is returned. The gain at the Nyquist wavenumber is taken as 0.
     """
     out: Float = scipy.fft.dctn(np.pad(gain, (0, 1)), type=1) / (4 * gain.size)
     return out
 
 
 def _squared_response(gain: Float) -> Float:
-    """Gain of the squared impulse response of a filter, normalised to the sum 1."""
+    """Cosine gains of the squared impulse response of a filter, normalised to unit sum."""
     out: Float = scipy.fft.dctn(_impulse(gain) ** 2, type=1)[:-1, :-1]
     out /= out[0, 0]
     return out
 
 
 def hole_variance(spectrum: Float) -> Float:
-    """Variance in a hole of a field with a spectrum (ny, nx), by the distance from the rim in blocks, (n,).
+    """Variance (n,) of a field inside a hole, at 0, 1, 2, ... blocks from the rim, for a spectrum (ny, nx).
 
-    At the rim the field and its slope are taken as known. At a distance r from it the rest of the field has
-    the variance C(0) - C(r)^2 / C(0) - C'(r)^2 / |C''(0)|, with C the covariance of the field.
+    The field and its slope are taken as known at the rim. At the distance r the remaining variance is
+    C(0) - C(r)^2 / C(0) - C'(r)^2 / |C''(0)|, with the covariance function C of the field.
     """
     covariance = _impulse(spectrum)
     side = min(spectrum.shape)

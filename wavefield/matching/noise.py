@@ -1,4 +1,8 @@
-"""Noise of the blocks' scores, from the variance of clusters of blocks, and holes without information."""
+"""Noise of the blocks' scores, blocks that do not match, and holes without information.
+
+Blocks up to five apart share beads, so the noise of their scores is correlated. It is therefore measured from
+sums of the scores over clusters of 5 x 5 blocks.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +16,13 @@ Float = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 F = np.float32
-CLUSTER = 5  # blocks: closer neighbours share beads (25 px), and so have correlated noise
-SMOOTHING_RADIUS = 6.0  # blocks over which noise is averaged
-HOLE_INFORMATION = 0.15  # of the typical information, mean of 7 x 7 blocks: below is a hole
-# a cluster's squared score over that expected from its surroundings; an exponential exceeds it once in 10^13
+CLUSTER = 5  # blocks along each side: the noise of closer blocks is correlated, because they share beads
+SMOOTHING_RADIUS = 6.0  # blocks: standard deviation of the Gaussian that averages the noise
+HOLE_INFORMATION = 0.15  # a hole has less than this fraction of the typical information, over 7 x 7 blocks
+# largest squared score of a cluster over its expected value; noise (an exponential variable) exceeds it once
+# in 10^13
 MAX_MISFIT = 30.0
-LEAST_NOISE = 0.3  # of the median noise: lower bound of the noise expected from the surroundings
+LEAST_NOISE = 0.3  # lower bound of the noise expected around a cluster, over the median noise of the image
 
 
 def noise_of_scores(
@@ -25,11 +30,12 @@ def noise_of_scores(
 ) -> Float:
     """Variance nu of the scores (c, ny, nx) per unit of their Hessian, (ny, nx), from clusters of blocks.
 
-    The squared scores and the Hessians of clusters of 5 x 5 usable blocks are smoothed over 6 blocks and
-    divided. `trace` is the sum of the Hessian's diagonal, `counts` is 1 for usable blocks and 0 for others,
-    `freedom` is the fraction of the variance that remains after the fit (`Modes.freedom`). A fifth of the
-    mean information, with the typical noise, is added to regularize the ratio. The typical noise is the mean,
-    or the median where parts of the images may not match, as where beads leave the image between two frames.
+    nu is the squared score of clusters of usable blocks over their Hessian, both smoothed over 6 blocks.
+    `trace` (ny, nx) is the trace of the Hessian, `counts` (ny, nx) is 1 for usable blocks and 0 for others,
+    and `freedom` is the fraction of the scores' variance that remains after the fit (`Modes.freedom`).
+
+    Where there is little information, nu approaches the typical noise of the image. That is the mean, or the
+    median `with_mismatches`: if parts of the images may not match, for instance where beads leave the image.
     """
     complete = (_clusters(counts) > CLUSTER**2 - 0.5).astype(np.float32)
     square = np.zeros_like(trace)
@@ -51,15 +57,17 @@ def noise_of_scores(
 
 
 def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
-    """Weight of each block, (ny, nx), at most 1: lower in clusters whose scores far exceed those around.
-    That happens at edges of objects and where beads enter or leave. Arguments as for `noise_of_scores`.
+    """Weight of each block, (ny, nx), from 0 to 1: below 1 in clusters with scores far above those around.
+
+    Such scores occur at edges of objects and where beads enter or leave the image. For the arguments see
+    `noise_of_scores`.
     """
     square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
     information = _clusters(trace * counts)
     least = F(HOLE_INFORMATION) * information.mean()
     ratio = square / np.maximum(information, F(1e-20))
-    # medians over 5 x 5 disjoint clusters: an object does not raise them; their squares are exponential
-    # with a median of log 2 times the mean.
+    # The median of 5 x 5 disjoint clusters is not raised by a small object. Squared scores are exponential
+    # variables, whose median is log 2 times the mean.
     apart, known = (field[:: CLUSTER - 1, :: CLUSTER - 1] for field in (ratio, information > least))
     typical = np.median(apart[known]) if known.any() else F(0)
     around = cv2.medianBlur(np.where(known, apart, typical).astype(np.float32), CLUSTER) / F(np.log(2))
@@ -70,18 +78,20 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
-    """Mask (ny, nx) of blocks in holes, from the information (ny, nx) around them."""
+    """Mask (ny, nx) of blocks in holes: those with little information (ny, nx) around them."""
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )
 
 
 def _clusters(field: Float) -> Float:
+    """Sums of a field (ny, nx) over the cluster around every block."""
     size = (CLUSTER, CLUSTER)
     return cv2.boxFilter(field, cv2.CV_32F, size, normalize=False, borderType=cv2.BORDER_REFLECT)
 
 
 def _smoothed(field: Float) -> Float:
-    ny, nx = field.shape  # neighbouring blocks are correlated: every second one suffices
+    """Smooth a field (ny, nx); returns half the number of rows and columns."""
+    ny, nx = field.shape  # clusters around neighbouring blocks overlap, so every second one suffices
     half = cv2.resize(field, ((nx + 1) // 2, (ny + 1) // 2), interpolation=cv2.INTER_AREA)
     return cv2.GaussianBlur(half, (0, 0), 0.5 * SMOOTHING_RADIUS, borderType=cv2.BORDER_REFLECT)

@@ -1,4 +1,4 @@
-"""Displacements of large patches by normalised correlation, far beyond what matching searches."""
+"""Displacements of large image patches by normalised correlation, far beyond the range of `match`."""
 
 import cv2
 import numpy as np
@@ -6,20 +6,20 @@ from numpy.typing import NDArray
 
 from wavefield.parabola import parabola_vertex
 
-PATCH_PX = 64  # side of the patches that are searched for
-REACH_PX = 256
-PATCHES_ACROSS = 6  # along each side of an image
-MIN_CORRELATION = 0.25  # no more is left of particles that leave a light sheet
-MIN_CORRELATION_SMALL = 0.4  # of the smaller patches of small images, which correlate more by chance
-MAX_SECOND_BEST = 0.85  # correlation over the best, above which the match is ambiguous
-AGREEMENT_PX = 8.0  # patches that moved alike differ by less than this and a quarter of their motion
-MARGIN_PX = 12.0  # added to the range found, and a quarter of its span
+PATCH_PX = 64  # side of the patches
+REACH_PX = 256  # largest displacement that is searched, along each axis
+PATCHES_ACROSS = 6  # patches along each side of an image
+MIN_CORRELATION = 0.25  # particles that leave a light sheet between two frames leave no more than this
+MIN_CORRELATION_SMALL = 0.4  # the same for the smaller patches of small images, which correlate by chance
+MAX_SECOND_BEST = 0.85  # second-largest over largest correlation, above which the match is ambiguous
+AGREEMENT_PX = 8.0  # two displacements confirm each other within this plus a quarter of their length
+MARGIN_PX = 12.0  # added on either side of the range that was found, with a quarter of its span
 
 Float = NDArray[np.float32]
 
 
 def widened(ends: tuple[float, float]) -> tuple[float, float]:
-    """A range of displacements with a margin on either side, whole px."""
+    """Range of displacements (lowest, highest) with a margin on either side, rounded outwards to whole px."""
     margin = MARGIN_PX + 0.25 * (ends[1] - ends[0])
     return float(np.floor(ends[0] - margin)), float(np.ceil(ends[1] + margin))
 
@@ -27,11 +27,12 @@ def widened(ends: tuple[float, float]) -> tuple[float, float]:
 def shifts(
     a: Float, b: Float, side: int = PATCH_PX, reach: tuple[int, int] = (REACH_PX, REACH_PX)
 ) -> NDArray[np.float64]:
-    """Displacements of large patches between two images within the reach, to 2 px, or 1 px in small images.
-    Returns (n, 5) for patches with contrast: displacement x, y, px (NaN if not found), correlation, middle x,
-    y.
+    """Displacements of large patches from image a to image b (h, w), within the reach (x, y), px.
+
+    Returns (n, 5), one row for each patch that has contrast: displacement x and y, px (NaN if not found),
+    correlation, and the patch's centre x and y. Displacements are multiples of 2 px, of 1 px in small images.
     """
-    a, b = (np.asarray(image, np.float32) for image in (a, b))  # of any depth
+    a, b = (np.asarray(image, np.float32) for image in (a, b))
     height, width = a.shape
     size = min(side, height // 4, width // 4)
     if size < 16:
@@ -59,14 +60,18 @@ def shifts(
 
 
 def _half(image: Float) -> Float:
+    """Image at half the size."""
     height, width = image.shape
     small = cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.float32)
 
 
-def _scores(patch: Float, around: Float) -> Float:
-    score = cv2.matchTemplate(np.ascontiguousarray(around), np.ascontiguousarray(patch), cv2.TM_CCOEFF_NORMED)
-    return np.asarray(score, np.float32)
+def _correlations(patch: Float, around: Float) -> Float:
+    """Normalised correlation of a patch at every position inside its surroundings."""
+    correlations = cv2.matchTemplate(
+        np.ascontiguousarray(around), np.ascontiguousarray(patch), cv2.TM_CCOEFF_NORMED
+    )
+    return np.asarray(correlations, np.float32)
 
 
 def _found(
@@ -77,12 +82,12 @@ def _found(
     reach: tuple[int, int],
     min_correlation: float = MIN_CORRELATION,
 ) -> tuple[float, float, float]:
-    """Displacement and correlation of one patch; NaN if not found or ambiguous."""
+    """Displacement, px, and correlation of the patch at column and row `at`; NaN if lost or ambiguous."""
     x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
     patch = a[at[1] : at[1] + size, at[0] : at[0] + size]
-    score = _scores(patch, b[y0 : at[1] + size + reach[1], x0 : at[0] + size + reach[0]])
-    _, best, _, (column, row) = cv2.minMaxLoc(score)
-    rest = score.copy()
+    correlations = _correlations(patch, b[y0 : at[1] + size + reach[1], x0 : at[0] + size + reach[0]])
+    _, best, _, (column, row) = cv2.minMaxLoc(correlations)
+    rest = correlations.copy()
     rest[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4] = -1.0
     if not best > min_correlation or rest.max() > MAX_SECOND_BEST * best:
         return np.nan, np.nan, float(best)
@@ -90,20 +95,22 @@ def _found(
 
 
 def locate(patch: Float, around: Float) -> tuple[float, float, float]:
-    """Column and row at which a patch fits best into its surroundings, px, and the correlation there.
-    Parabolas through the largest correlation and its neighbours; NaN where it is at the border.
+    """Column and row, px, at which a patch fits best into its surroundings, and the correlation there.
+
+    A parabola along each axis, through the largest correlation and its neighbours, refines the position. It
+    is NaN if the largest correlation lies at the border.
     """
-    score = _scores(patch, around)
-    _, best, _, (column, row) = cv2.minMaxLoc(score)
-    if not (0 < row < score.shape[0] - 1 and 0 < column < score.shape[1] - 1):
+    correlations = _correlations(patch, around)
+    _, best, _, (column, row) = cv2.minMaxLoc(correlations)
+    if not (0 < row < correlations.shape[0] - 1 and 0 < column < correlations.shape[1] - 1):
         return np.nan, np.nan, float(best)
-    dx = parabola_vertex(*score[row, column - 1 : column + 2].astype(float))
-    dy = parabola_vertex(*score[row - 1 : row + 2, column].astype(float))
+    dx = parabola_vertex(*correlations[row, column - 1 : column + 2].astype(float))
+    dy = parabola_vertex(*correlations[row - 1 : row + 2, column].astype(float))
     return float(column + dx), float(row + dy), float(best)
 
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Displacements (m, 2), of (n, 2), px, that another patch nearly shares."""
+    """Those of the displacements (n, 2), px, that at least one other patch confirms, (m, 2)."""
     moved = moved[np.isfinite(moved[:, 0])]
     apart = np.hypot(*(moved[:, None] - moved).T) - AGREEMENT_PX - 0.25 * np.hypot(*moved.T)
     out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]

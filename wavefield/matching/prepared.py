@@ -1,4 +1,8 @@
-"""Preparation of an image for matching, done once for all its matches: mask, local normalisation, pyramid."""
+"""Preparation of an image, once for all its matches: mask, local normalisation, pyramid.
+
+Local normalisation gives every part of the image zero mean and unit variance, with a Gaussian window of
+`MatchSettings.normalization` px. Means over the window are computed from sums over small square *cells*.
+"""
 
 from __future__ import annotations
 
@@ -23,15 +27,16 @@ from wavefield.matching.settings import MatchSettings
 
 F = np.float32
 
-SATURATED_SIDE = 5  # px: of the smallest saturated patch
-MIN_LEVEL_SIDE = 8 * BLOCK  # px: pyramid levels with a smaller side are left out
-MAX_CELL_SIDE = 8  # px: side of the cells
-MIN_RELATIVE_CONTRAST = F(0.05)  # of the image's median local standard deviation: less is not amplified
-MIN_USABLE_SHARE = F(1e-3)  # of the pixels around a cell
-BEAD_SMOOTHING = 1.0  # px: beads' tops are found in the image smoothed by this; noise has tops of its own
+SATURATED_SIDE = 5  # px: smallest side of a uniform patch at the largest value that counts as saturated
+MIN_LEVEL_SIDE = 8 * BLOCK  # px: the pyramid ends before a level with a smaller side
+MAX_CELL_SIDE = 8  # px: largest side of a cell
+# lower bound of the local standard deviation over its median: fainter parts are not amplified further
+MIN_RELATIVE_CONTRAST = F(0.05)
+MIN_USABLE_SHARE = F(1e-3)  # lower bound of the usable fraction around a cell, which divides its sums
+BEAD_SMOOTHING = 1.0  # px: Gaussian that removes the maxima of noise before the tops of beads are found
 NO_MASK = np.empty((0, 0), np.uint8)
 
-# pixels that are not finite must reach the sums as they are: no fast-math but fused multiply-adds
+# of fast-math only fused multiply-adds: NaN and infinity must propagate into the sums
 njit = compiled(fastmath={"contract"}, error_model="numpy")
 
 
@@ -40,7 +45,7 @@ class Level:
     """One pyramid level of a prepared image."""
 
     padded: np.ndarray  # (h + 2 PAD, w + 2 PAD): the image with replicated border
-    # (h, w): 1 where all pixels of a block around the pixel may be used; (0, 0) where nothing is masked
+    # (h, w): 1 where all pixels of a block around this pixel are usable; shape (0, 0) if nothing is masked
     good: np.ndarray
 
     @property
@@ -60,21 +65,21 @@ class Level:
 
     @cached_property
     def moments(self) -> np.ndarray:
-        """Sums of `gradient_moments`, (9, ny, nx) float32; kept, as an image may be matched several times."""
+        """(9, ny, nx) float32: sums of `gradient_moments`, stored because an image is matched repeatedly."""
         out = np.empty((9, *self.blocks), np.float32)
         gradient_moments(self.padded, work_space(self.blocks[1]), out)
         return out
 
     @cached_property
     def strain(self) -> np.ndarray:
-        """(8, ny, nx) float32: the sums of `strain_moments`, kept like `moments`."""
+        """(8, ny, nx) float32: sums of `strain_moments`, stored like `moments`."""
         out = np.empty((8, *self.blocks), np.float32)
         strain_moments(self.padded, work_space(self.blocks[1]), out)
         return out
 
     @cached_property
     def beads(self) -> tuple[np.ndarray, np.ndarray]:
-        """Assignment of pixels to blocks by whole beads, (h, w), and the blocks' Hessians, (3, ny, nx)."""
+        """Number of the block to which each pixel's bead is assigned, (h, w), and Hessians, (3, ny, nx)."""
         ny, nx = self.blocks
         h, w = ny * BLOCK, nx * BLOCK
         smooth = cv2.GaussianBlur(self.padded, (0, 0), BEAD_SMOOTHING)
@@ -87,14 +92,14 @@ class Level:
 
 @dataclass(frozen=True)
 class PreparedImage:
-    """A pyramid of an image, ready to be matched.
+    """An image pyramid, ready to be matched.
 
     Parameters
     ----------
     levels : tuple of Level
-        Finest first.
+        The levels of the pyramid, finest first.
     normalization : float
-        That of the settings it was prepared with.
+        Width of the normalisation window that was used, px (`MatchSettings.normalization`).
     """
 
     levels: tuple[Level, ...]
@@ -108,15 +113,15 @@ class PreparedImage:
 
 @dataclass(frozen=True)
 class Mask:
-    """The pixels that may be used, computed once for many images."""
+    """The usable pixels, computed once for all images with the same mask."""
 
-    good: np.ndarray  # (h, w): 1 where a pixel may be used
+    good: np.ndarray  # (h, w): 1 where a pixel is usable
     levels: tuple[np.ndarray, ...]  # (h, w): `Level.good` of each pyramid level, finest first
-    share: np.ndarray  # (ny, nx): Share of usable pixels around the cells of the normalisation
+    share: np.ndarray  # (ny, nx): fraction of usable pixels around each cell of the normalisation
 
     @staticmethod
     def of(good: np.ndarray, settings: MatchSettings) -> Mask:
-        """The mask of pixels (h, w) that may be used."""
+        """Make a mask from usable pixels (h, w), for matching with these settings."""
         usable = good = np.array(good, bool, order="C").view(np.uint8)
         levels = [_usable_blocks(good, 0)]
         for number in range(1, level_count(good.shape, settings.levels)):
@@ -135,12 +140,12 @@ def prepare(
     Parameters
     ----------
     image : (h, w) uint8, uint16, float32 or other real type
-        The image; pixels that are not finite, and flat patches at the image's largest value
-        (saturation), are left out.
+        The image. Pixels that are not finite, and uniform patches at the image's largest value (saturation),
+        are masked.
     settings : MatchSettings
-        Uses the number of levels and the normalisation.
+        Gives the number of pyramid levels and the width of the normalisation.
     mask : (h, w) bool, or Mask, optional
-        True where pixels may be used; make a Mask, for these settings, of one that many images share.
+        True where pixels are usable. If many images share a mask, make it once by `Mask.of`.
 
     Returns
     -------
@@ -200,7 +205,7 @@ def level_count(shape: tuple[int, ...], levels: int) -> int:
 def _normalize(
     image: np.ndarray, mask: Mask | None, settings: MatchSettings, padded: np.ndarray
 ) -> Mask | None:
-    """Write the normalised image inside its border; return the mask without invalid and saturated pixels."""
+    """Write the normalised image inside its border; return the mask less invalid and saturated pixels."""
     width = settings.normalization
     cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
@@ -214,12 +219,13 @@ def _normalize(
 
 
 def _excluding(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> Mask:
+    """The mask without the bad pixels (h, w)."""
     return Mask.of(~bad if mask is None else (mask.good != 0) & ~bad, settings)
 
 
 def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
-    """Patches that reach the largest value of these columns, (h, w) bool; None without any."""
-    # every patch holds one pixel of a grid as wide as the patch
+    """Saturated patches, (h, w) bool, or None; `columns` are those in which the largest value occurs."""
+    # every patch contains one pixel of a grid whose step is the side of the smallest patch
     columns = columns[columns % SATURATED_SIDE == SATURATED_SIDE - 1]
     if largest <= 0 or not (image[SATURATED_SIDE - 1 :: SATURATED_SIDE, columns] == largest).any():
         return None
@@ -234,29 +240,31 @@ def _padded(h: int, w: int) -> np.ndarray:
 
 
 def _usable_blocks(good: np.ndarray, level: int) -> np.ndarray:
-    """1 where the block around a pixel is usable, on the finest level with the reach of the spline."""
+    """1 where all pixels of the block around a pixel are usable; on level 0 also those its spline needs."""
     side = BLOCK + 4 if level == 0 else BLOCK
     return cv2.erode(good, np.ones((side, side), np.uint8), borderType=cv2.BORDER_REPLICATE)
 
 
 def _replicate_border(padded: np.ndarray) -> None:
+    """Fill the border with the nearest pixel of the image, in place."""
     padded[PAD:-PAD, :PAD] = padded[PAD:-PAD, PAD : PAD + 1]
     padded[PAD:-PAD, -PAD:] = padded[PAD:-PAD, -PAD - 1 : -PAD]
     padded[:PAD] = padded[PAD]
     padded[-PAD:] = padded[-PAD - 1]
 
 
-# Local normalisation to zero mean and unit variance in two passes: sums over square cells, then the image
-# with mean and scale interpolated between the cells. As in `kernels`, loops run along rows.
+# Local normalisation takes two passes. The first sums over square cells; the second normalises the image,
+# with mean and scale interpolated between the cells. As in kernels.py, loops run along rows.
 
 
 @njit
 def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
-    """Sum groups of `side` neighbours among the first `count` elements of `row`; the last group takes the
-    rest.
+    """Sum groups of `side` neighbours among the first `count` elements of `row`.
+
+    The last group includes the remaining elements.
     """
     n = len(out)
-    if side == 8:  # the usual one: a loop that becomes vector code
+    if side == 8:  # the usual side, in a form that vectorises
         for i in range(n):
             left = (row[8 * i] + row[8 * i + 1]) + (row[8 * i + 2] + row[8 * i + 3])
             out[i] = left + ((row[8 * i + 4] + row[8 * i + 5]) + (row[8 * i + 6] + row[8 * i + 7]))
@@ -272,6 +280,7 @@ def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
 
 @njit
 def _add_row(row: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray) -> None:
+    """Add a row of pixels to sums s and sums of squares t of each column; update their maxima `top`."""
     for x in range(len(row)):
         v = F(row[x])
         s[x] += v
@@ -283,6 +292,7 @@ def _add_row(row: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray) -> 
 def _add_masked_row(
     row: np.ndarray, usable: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray
 ) -> None:
+    """Do what `_add_row` does, with pixels that are not usable taken as 0."""
     for x in range(len(row)):
         v = F(row[x]) if usable[x] != 0 else F(0)
         s[x] += v
@@ -292,6 +302,7 @@ def _add_masked_row(
 
 @njit
 def _cell_sums(image: np.ndarray, usable: np.ndarray, side: int, rows: np.ndarray, out: np.ndarray) -> None:
+    """Write sums of pixels and of squares over each cell to out (2, ny, nx); rows (3, >= w) is scratch."""
     h, w = image.shape
     ny = out.shape[1]
     s, t, top = rows[0], rows[1], rows[2]
@@ -318,6 +329,7 @@ def _normalize_row(
     t: np.float32,
     out: np.ndarray,
 ) -> None:
+    """Normalise a row by mean and scale, a fraction t of the way from m0, s0 to m1, s1."""
     for x in range(len(row)):
         mean = m0[x] + t * (m1[x] - m0[x])
         scale = s0[x] + t * (s1[x] - s0[x])
@@ -326,6 +338,7 @@ def _normalize_row(
 
 @njit
 def _clear_row(usable: np.ndarray, out: np.ndarray) -> None:
+    """Set pixels that are not usable to 0."""
     for x in range(len(out)):
         out[x] = out[x] if usable[x] != 0 else F(0)
 
@@ -334,20 +347,24 @@ def _clear_row(usable: np.ndarray, out: np.ndarray) -> None:
 def _normalize_image(
     image: np.ndarray, usable: np.ndarray, mean: np.ndarray, scale: np.ndarray, side: int, out: np.ndarray
 ) -> None:
+    """Write the normalised image inside the border of `out`; mean and scale (ny, w) belong to cells."""
     ny, (h, w) = len(mean), image.shape
     border = (len(out) - h) // 2
     for y in range(h):
         place = min(max((F(y) + F(0.5)) / F(side) - F(0.5), F(0)), F(ny - 1))
         j = int(place)
         k = min(j + 1, ny - 1)
-        to = out[border + y][border : border + w]  # contiguous, which rows of a cut array are not
+        to = out[border + y][border : border + w]  # contiguous for numba, unlike a row of a sliced array
         _normalize_row(image[y], mean[j], mean[k], scale[j], scale[k], place - F(j), to)
         if usable.size > 0:
             _clear_row(usable[y], to)
 
 
 class NormalizationCells:
-    """Sums over square cells of an image (h, w), for means over surroundings of a given width, px."""
+    """Sums over square cells of an image (h, w), from which local means and the normalised image follow.
+
+    `width` is the standard deviation of the Gaussian window, px; `usable` (h, w) is 1 where pixels count.
+    """
 
     def __init__(self, image: np.ndarray, width: float, usable: np.ndarray | None = None) -> None:
         self.image, self.width = np.ascontiguousarray(image), max(width, 1.0)
@@ -355,7 +372,7 @@ class NormalizationCells:
         h, w = self.image.shape
         self.side = _side(h, w, self.width)
         self.sums = np.empty((2, h // self.side, w // self.side), F)
-        rows = np.empty((3, w + (48 - w) % 256), F)  # never a page apart, as in `work_space`
+        rows = np.empty((3, w + (48 - w) % 256), F)  # never a multiple of a page apart: see `work_space`
         _cell_sums(self.image, self.usable, self.side, rows, self.sums)
         top = rows[2, :w]
         self.largest = float(top.max())
@@ -363,21 +380,24 @@ class NormalizationCells:
         self.finite = bool(np.isfinite(self.sums[0].sum()))
 
     def local(self, number: int) -> np.ndarray:
-        """(ny, nx) float32: values (0) or squares (1) of usable pixels, averaged over the surroundings."""
+        """(ny, nx) float32: mean over the window of pixels (number 0) or of their squares (1)."""
         mean = self.sums[number] * _inverse_area(self.image.shape, self.side)
-        # averages over cells (variance 1/12), read linearly between them (1/6), are blurred already
+        # subtract the blur that is there already: 1/12 by averaging over cells, 1/6 by linear interpolation
         sigma = np.sqrt((self.width / self.side) ** 2 - 0.25)
         out: np.ndarray = cv2.GaussianBlur(mean, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
         return out
 
     def normalized(self, share: np.ndarray | None, out: np.ndarray) -> None:
-        """Write the normalised image, inside any border of `out`; pixels that are not usable become 0."""
+        """Write the normalised image inside the border of `out`; pixels that are not usable become 0.
+
+        `share` (ny, nx) is the usable fraction around each cell, or None without a mask.
+        """
         mean, square = self.local(0), self.local(1)
         if share is not None:
             mean /= share
             square /= share
         std = np.sqrt(np.maximum(square - mean * mean, 0))
-        # one cell of four is enough for the median
+        # every fourth cell suffices for a median
         every_second = std[::2, ::2]
         if share is not None:
             every_second = every_second[share[::2, ::2] > 0.5]
@@ -386,7 +406,7 @@ class NormalizationCells:
         _normalize_image(self.image, self.usable, self._spread(mean), self._spread(scale), self.side, out)
 
     def _spread(self, field: np.ndarray) -> np.ndarray:
-        """(ny, w) float32: a field of cells interpolated along its rows."""
+        """(ny, w) float32: a field on the cells (ny, nx), interpolated along its rows to pixels."""
         if self.side == 1:
             return field
         ny, nx = field.shape
@@ -404,7 +424,7 @@ def usable_share(usable: np.ndarray, width: float) -> np.ndarray:
 
 
 def _side(h: int, w: int, width: float) -> int:
-    """Side of the cells, px: small compared with the width and the image."""
+    """Side of the cells, px: a power of two, at most the width and an eighth of the image."""
     side = MAX_CELL_SIDE
     while side > 1 and (width < side or min(h, w) < 8 * side):
         side //= 2
@@ -413,7 +433,7 @@ def _side(h: int, w: int, width: float) -> int:
 
 @lru_cache(maxsize=16)
 def _inverse_area(shape: tuple[int, int], side: int) -> np.ndarray:
-    """(ny, nx) float32: one over the number of pixels of each cell."""
+    """(ny, nx) float32: reciprocal of the number of pixels of each cell."""
     counts = []
     for n in shape:
         count = np.full(n // side, side, F)

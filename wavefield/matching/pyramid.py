@@ -1,4 +1,9 @@
-"""Block Gauss-Newton matching over a pyramid: first estimate, steps, and assessment of the blocks."""
+"""Block Gauss-Newton matching over a pyramid: first estimate, steps, and assessment of the blocks.
+
+`match` starts on the coarsest level (from a search over whole pixels, if the settings give ranges) and takes
+Gauss-Newton steps on every level. `_assess` then decides which blocks are valid. Afterwards `reevaluate` and
+`scores_at` compute the scores and Hessians of the blocks at a better displacement, for the MAP field.
+"""
 
 from __future__ import annotations
 
@@ -39,10 +44,12 @@ from wavefield.matching.settings import Displacement, MatchSettings, Reason
 from wavefield.matching.spectrum import RESTORED_VARIANCE, displacement_area
 from wavefield.parabola import parabola_vertex
 
-# ridge over the mean trace of the windowed Hessians: keeps steps small where images have little contrast
+# ridge over the mean trace of the windowed Hessians, which keeps steps small where images lack contrast
 RIDGE_FRACTION = 0.01
-MAX_STEP = 1.5  # px
-_TYPICAL_AREA = displacement_area(1.5) - RESTORED_VARIANCE  # px^2: slopes within blocks depend little on it
+MAX_STEP = 1.5  # px: longest step along each axis
+# px^2: variance of the area that a block averages over, for beads of 1.5 px; displacement gradients depend
+# little on it
+_TYPICAL_AREA = displacement_area(1.5) - RESTORED_VARIANCE
 
 njit = compiled(error_model="numpy")
 
@@ -57,29 +64,32 @@ def match(
     Parameters
     ----------
     a, b : (h, w) array, or PreparedImage
-        The two images; prepare an image that is masked, or used in several matches.
+        The two images. Call `prepare` first for an image that has a mask or is matched several times.
     settings : MatchSettings, optional
-        Default `MatchSettings.piv()`, which searches 16 px in each direction. For larger displacements give
-        `search_x` and `search_y`; for few or weak particles a larger `window` and a lower `min_correlation`.
+        Default: `MatchSettings.piv()`, which searches 16 px in each direction. For larger displacements set
+        `search_x` and `search_y`; for few or faint particles a larger `window` and a lower
+        `min_correlation`.
 
     Returns
     -------
     Displacement
-        On blocks of 5 px: centres at 2, 7, 12 ... px. The lattice depends on the size of the image only.
+        Displacement u, v (ny, nx), px, on blocks of 5 x 5 px with centres at 2, 7, 12 ... px, and its
+        validity. The lattice depends on the size of the image only.
 
     Raises
     ------
     FrameError
-        If the images differ in size or cannot be matched.
+        If the images differ in size, are not grey, or are smaller than 20 x 20 px.
     ValueError
-        If a prepared image does not suit the settings.
+        If a prepared image was prepared with other settings.
 
     Notes
     -----
-    Local least squares (Lucas-Kanade) iterated from coarse to fine: per block the sums of gx gx, gx gy, gy
-    gy, gx r, gy r, with r the residual between a and b read through the displacement by quintic B-splines;
-    Gaussian windows over the lattice of these sums; one 2 x 2 solve per block; outliers against 5 x 5
-    medians; a flat smoother. Champagnat et al. (2011), Exp. Fluids 50, 1169.
+    The method is local least squares (Lucas-Kanade), iterated from coarse to fine: Champagnat et al. (2011),
+    Exp. Fluids 50, 1169. For every block, gx gx, gx gy, gy gy, gx r and gy r are summed, with r the residual
+    between a and b, sampled at the displacement by quintic B-splines. A Gaussian window averages these sums
+    over the lattice. One 2 x 2 system per block gives the step. Outliers are replaced by the median of
+    5 x 5 neighbours, and the field is smoothed by 1 - (1 - G)^4.
 
     Examples
     --------
@@ -98,7 +108,7 @@ def match(
 
 
 def _coarse(a: PreparedImage, b: PreparedImage, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement by the coarse levels alone, u and v (ny, nx) on the finest lattice, px."""
+    """Displacement from the coarse levels alone: u and v (ny, nx) on the finest lattice, px."""
     top = min(len(a.levels), settings.levels) - 1
     u, v = _start(a.levels[top], b.levels[top], top, settings)
     for number in range(top, 0, -1):
@@ -111,7 +121,7 @@ def _coarse(a: PreparedImage, b: PreparedImage, settings: MatchSettings) -> tupl
 def _prepared_pair(
     a: np.ndarray | PreparedImage, b: np.ndarray | PreparedImage, settings: MatchSettings
 ) -> tuple[PreparedImage, PreparedImage]:
-    """Two images prepared for these settings, if they are not yet, and of one size."""
+    """Prepare both images for these settings unless they are; raise an error if their sizes differ."""
     a, b = _prepared(a, settings), _prepared(b, settings)
     if a.shape != b.shape:
         raise FrameError(f"the images to match differ in size: {a.shape} and {b.shape}")
@@ -119,7 +129,7 @@ def _prepared_pair(
 
 
 def _prepared(image: np.ndarray | PreparedImage, settings: MatchSettings) -> PreparedImage:
-    """The image prepared for these settings, if it is not yet."""
+    """Prepare an image for these settings, or check that it was prepared for them."""
     if not isinstance(image, PreparedImage):
         return prepare(image, settings)
     if image.normalization != settings.normalization:
@@ -161,19 +171,19 @@ class _LevelPair:
         self._hessian: np.ndarray | None = None
 
     def update_weights(self, u: np.ndarray, v: np.ndarray) -> None:
-        """Update `count` (1 for usable blocks), `coverage` (usable part of each window) and the weights."""
+        """Update `count` (1 for usable blocks), `coverage` (usable fraction of windows) and `weighting`."""
         count = np.empty(u.shape, np.float32)
         block_weights(self.a.good, self.b.good, u, v, *self.b.shape, count)
         if np.array_equal(count, self.count):
             return
         self.count, self.coverage, self._hessian = count, filtered(count, self.weights), None
         if self.masked and self.sigma > 0:
-            # so that large holes do not change their surroundings
+            # a weighted smoother, so that holes do not spoil their surroundings
             self.weighting = smoother_weights(np.maximum(self.coverage, F(1e-3)), self.sigma)
 
     @property
     def hessian(self) -> np.ndarray:
-        """The Hessian of image a over windows, (3, ny, nx)."""
+        """Hessian of image a, summed over windows, (3, ny, nx)."""
         if self._hessian is None:
             self._hessian = self.windows(self.a.moments[:3] * self.count)
         return self._hessian
@@ -188,12 +198,15 @@ class _LevelPair:
     def advance(
         self, u: np.ndarray, v: np.ndarray, hessian: np.ndarray, score: np.ndarray, number: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Do one step, replace outliers, smooth; returns the new u, v and a mask of the outliers."""
+        """Take one step, replace outliers, smooth; returns the new u, v and the mask of outliers (ny, nx).
+
+        `hessian` and `score` are summed over windows; `number` counts the steps on this level.
+        """
         settings = self.settings
         u, v = u.copy(), v.copy()
         ridge = F(RIDGE_FRACTION) * F(hessian[0].mean() + hessian[2].mean()) + F(1e-12)
         step(hessian, score, ridge, F(RELAXATION), F(MAX_STEP), u, v)
-        # the first step of a level may still be far off
+        # after the first step of a level, the displacement may still be far off
         outlier = replace_outliers(u, v, settings.max_deviation * (2 if number == 0 else 1))
         u, v = (smoothed(f, self.sigma, SMOOTHER_ORDER, self.weighting) for f in (u, v))
         return u, v, outlier
@@ -207,7 +220,7 @@ def _slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 def _last_sums(
     a: Level, b: Level, u: np.ndarray, v: np.ndarray, slope: np.ndarray, work: WorkSpace
 ) -> np.ndarray:
-    """The sums of `final_sums` with those of gx gx, gx gy, gy gy of a between them, (12, ny, nx)."""
+    """Sums of `final_sums` with the Hessian of a in planes 2 to 4, (12, ny, nx)."""
     sums = np.empty((12, *u.shape), np.float32)
     final_sums(a.padded, b.padded, u, v, slope, work, sums)
     sums[2:5] = a.moments[:3]
@@ -215,7 +228,7 @@ def _last_sums(
 
 
 def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Steps by the residuals alone, using the Hessian of image a."""
+    """Take `count` steps without assessing the blocks; the Hessian is that of image a."""
     for number in range(count):
         pair.update_weights(u, v)
         score = pair.windows(_plain_scores(pair, u, v, _slopes(u, v)))
@@ -224,7 +237,7 @@ def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> 
 
 
 def _plain_scores(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """(2, ny, nx): sums of gx r and gy r of the usable blocks."""
+    """Scores of the usable blocks, (2, ny, nx); 0 for the others."""
     sums = np.empty((2, *u.shape), np.float32)
     plain_sums(pair.a.padded, pair.b.padded, u, v, pair.work, sums)
     subtract_slopes(sums, pair.a.moments, slope)
@@ -233,7 +246,7 @@ def _plain_scores(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndar
 
 
 def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displacement:
-    """Steps on the finest level; the last one also measures correlation and noise."""
+    """Take `count` steps on the finest level; the sums of the last one also assess the blocks."""
     a, b = pair.a, pair.b
     u, v = _plain_steps(pair, u, v, count - 1)
     pair.update_weights(u, v)
@@ -251,14 +264,15 @@ def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displ
 def reevaluate(
     a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray, settings: MatchSettings
 ) -> Displacement:
-    """Scores and Hessians of two images at a given displacement u, v (ny, nx), float32, px.
+    """Scores, Hessians and validity of the blocks at a given displacement u, v (ny, nx), float32, px.
 
-    Where the displacement has gradients e_jk = du_j/dx_k, reading b strains the images of beads, whereas real
-    beads move without changing shape. The residual then contains e_jj a + s^2 e_jk a_jk, with a_jk the second
-    derivatives of image a and s^2 the variance of the image of a bead; for a blurred texture only the second
-    term. Both are symmetric about the middle of a bead, so a complete bead adds nothing to the score, but one
-    that the edge of a block cuts does. Therefore c e_jj a + s^2 e_jk a_jk is subtracted, with c (0 to 1) and
-    s^2 fitted by least squares.
+    The scores are corrected for strain. If the displacement has gradients e_jk = du_j/dx_k, sampling b at
+    the displacement strains the images of beads, but real beads move without changing shape. The residual of
+    beads then contains e_jj a + s^2 e_jk a_jk, with a_jk the second derivatives of image a and s^2 the
+    variance of the image of a bead; that of a blurred texture contains only the second term. Both terms are
+    symmetric about the middle of a bead. A complete bead therefore adds nothing to the score, but a bead that
+    is cut by the edge of a block does. The function subtracts the scores of c e_jj a + s^2 e_jk a_jk, with
+    c (0 to 1) and s^2 fitted by least squares.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
     pair.update_weights(u, v)
@@ -275,18 +289,19 @@ def reevaluate(
 def scores_at(
     found: Displacement, a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray
 ) -> Displacement:
-    """The match of two cameras' images with the blocks' scores and Hessians at u, v (ny, nx), float32, px.
+    """The match `found` of two cameras, with scores and Hessians at u, v (ny, nx), float32, px.
 
-    Every pixel counts in the block in which the top of its bead lies: cameras see beads unequally bright, and
-    a block that contains a part of one would seem to move. Blocks are not assessed again as by `reevaluate`:
-    those that the match rejected stay rejected. Scores are 0 where a block is not usable.
+    Two cameras see a bead unequally bright, so a block that contains a part of it would seem to move. Every
+    pixel therefore counts in the block that contains the top of its bead. Unlike `reevaluate`, this function
+    does not assess the blocks again: those that the match rejected stay rejected. Scores of blocks that are
+    not usable are 0.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     pair.update_weights(u, v)
     block, hessian = pair.a.beads
     sums = np.empty((u.size, 2), np.float32)
     bead_scores(pair.a.padded, pair.b.padded, u, v, _slopes(u, v), block, pair.work, sums)
-    # a bead reaches into the next block, which has to be usable as well
+    # a bead extends into neighbouring blocks, which must be usable as well
     usable = cv2.erode(pair.count, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
     score = np.ascontiguousarray(sums.T).reshape(2, *u.shape) * usable
     own = pair.a.moments
@@ -297,8 +312,9 @@ def scores_at(
 def _search(
     a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], settings: MatchSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement of every block: the best whole-pixel shift, refined by a parabola.
-    Returns u, v (ny, nx), px of this level.
+    """Displacement u, v (ny, nx) of every block, px of this level, by a search over whole-pixel shifts.
+
+    The shift with the largest correlation is refined by a parabola along each axis.
     """
     ny, nx = a.blocks
     w = nx * BLOCK
@@ -308,51 +324,53 @@ def _search(
     weights = window_weights(settings.search_window)
     border = len(weights) // 2
     n = x_range[1] - x_range[0] + 1
-    score = np.empty((y_range[1] - y_range[0] + 1, ny, n, nx + 2 * border), np.float32)
+    correlation = np.empty((y_range[1] - y_range[0] + 1, ny, n, nx + 2 * border), np.float32)
     row = np.empty(w, np.float32)
-    for dy, scores in enumerate(score, y_range[0]):
-        shift_sums(first, second, margin, x_range[0], dy, row, scores)
-        side_by_side = scores.reshape(ny, -1)
+    for dy, plane in enumerate(correlation, y_range[0]):
+        shift_sums(first, second, margin, x_range[0], dy, row, plane)
+        side_by_side = plane.reshape(ny, -1)
         filtered(side_by_side, weights, side_by_side)
-    u, v = _peaks(score, border, x_range[0], y_range[0])
+    u, v = _peaks(correlation, border, x_range[0], y_range[0])
     for _ in range(2):
         replace_outliers(u, v, 2.0)
     return smoothed(u, 1.0, 1), smoothed(v, 1.0, 1)
 
 
 @njit
-def _largest(score: np.ndarray, border: int, best: np.ndarray) -> None:
-    """Write the number of the shift with the largest score of each block, the first if equal, to best (ny,
-    nx).
+def _largest(correlation: np.ndarray, border: int, best: np.ndarray) -> None:
+    """Write the number of the shift with the largest correlation of each block to best (ny, nx).
+
+    Among equal ones the first counts. `correlation` is (rows of shifts, ny, columns of shifts, nx + 2 border).
     """
-    rows, ny, n, width = score.shape
+    rows, ny, n, width = correlation.shape
     nx = width - 2 * border
     top = np.empty(nx, np.float32)
     for j in range(ny):
-        for i in range(nx):  # copied as a slice, it takes five seconds more to compile
-            top[i], best[j, i] = score[0, j, 0, border + i], np.int32(0)
+        for i in range(nx):  # copying a slice instead takes five seconds more to compile
+            top[i], best[j, i] = correlation[0, j, 0, border + i], np.int32(0)
         for dy in range(rows):
             for k in range(n):
-                middle = score[dy, j, k, border : border + nx]
+                middle = correlation[dy, j, k, border : border + nx]
                 for i in range(nx):
                     larger = middle[i] > top[i]
                     best[j, i] = np.int32(dy * n + k) if larger else best[j, i]
                     top[i] = middle[i] if larger else top[i]
 
 
-def _peaks(score: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shift of the largest score of each block, (ny, nx), with parabolas through its neighbours.
-    score (rows of shifts, ny, columns of shifts, nx + 2 border) begins with the shift first_x, first_y.
+def _peaks(correlation: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shifts u, v (ny, nx) of the largest correlation of each block, refined by parabolas.
+
+    The first shift in `correlation` (see `_largest`) is first_x, first_y.
     """
-    rows, ny, n, width = score.shape
+    rows, ny, n, width = correlation.shape
     best = np.empty((ny, width - 2 * border), np.int32)
-    _largest(score, border, best)
+    _largest(correlation, border, best)
     y, x = np.divmod(best, n)
     j, i = np.indices(best.shape)
 
     def at(dy: int, dx: int) -> np.ndarray:
         row, column = np.clip(y + dy, 0, rows - 1), np.clip(x + dx, 0, n - 1)
-        return np.asarray(score[row, j, column, border + i])
+        return np.asarray(correlation[row, j, column, border + i])
 
     dx = np.clip(parabola_vertex(at(0, -1), at(0, 0), at(0, 1)), -0.5, 0.5)
     dy = np.clip(parabola_vertex(at(-1, 0), at(0, 0), at(1, 0)), -0.5, 0.5)
@@ -363,20 +381,20 @@ def _peaks(score: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[
 
 @dataclass(frozen=True)
 class _LastStep:
-    """Result of the last step of a match, with the sums it came from."""
+    """The last step of a match, and the sums that it was computed from."""
 
-    sums: np.ndarray  # (12, ny, nx): those of `final_sums`, per block
-    windowed: np.ndarray  # (12, ny, nx): over windows, from the sixth on
+    sums: np.ndarray  # (12, ny, nx): sums of `_last_sums` per block
+    windowed: np.ndarray  # (12, ny, nx): the same summed over windows, planes 5 to 11 only
     coverage: np.ndarray  # (ny, nx): usable fraction of each window
     du: np.ndarray  # (ny, nx): the step, px
     dv: np.ndarray
-    outlier: np.ndarray  # (ny, nx) bool: where the step was replaced by that of the neighbours
+    outlier: np.ndarray  # (ny, nx) bool: where the displacement was replaced by that of the neighbours
 
 
 def _assess(
     a: Level, b: Level, u: np.ndarray, v: np.ndarray, last: _LastStep, settings: MatchSettings
 ) -> Displacement:
-    """Find scores and validity of the blocks at a displacement u, v (ny, nx), px."""
+    """Scores, Hessians and validity of the blocks at a displacement u, v (ny, nx), px."""
     correlation, energy = _correlation(last)
     score, hessian = _own_scores(last)
     reason = _reasons(a, b, u, v, last.outlier, correlation, energy, settings)
@@ -384,7 +402,7 @@ def _assess(
 
 
 def _correlation(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
-    """Normalised correlation and matched gradient energy of the windows, (ny, nx)."""
+    """Normalised correlation and common gradient energy (mean ga gb) of the windows, each (ny, nx)."""
     rr, sa, aa, sr, ar, ab = last.windowed[5:11]
     power = float(aa.mean() / F(BLOCK * BLOCK))
     least = F((1e-4 * power + 1e-12) ** 2)
@@ -399,8 +417,8 @@ def _correlation(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
 
 def _own_scores(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
     """Score (2, ny, nx) and Hessian (3, ny, nx) of each single block after the step."""
-    # the Hessian in `sums` is that of a alone, the ratio that of the mean of both images: what they share of
-    # the gradients is ratio / (2 - ratio)
+    # `sums` holds the Hessian of image a, noise included. `ratio` is the common gradient energy over that of
+    # the mean image; the fraction of a's energy that both images share is ratio / (2 - ratio).
     shared, of_mean = last.windowed[10:12]
     ratio = np.clip(shared / np.maximum(of_mean, F(1e-12)), F(0), F(1))
     hessian = last.sums[2:5] * (ratio / (F(2) - ratio))
@@ -435,7 +453,7 @@ def _reasons(
         Reason.NEIGHBOURS: outlier,
     }
     if settings.search_x is not None and settings.search_y is not None:
-        slack = 2.0 ** (settings.levels - 1)  # px: one of the coarsest level
+        slack = 2.0 ** (settings.levels - 1)  # px of the finest level in one of the coarsest
         limits = (u, settings.search_x), (v, settings.search_y)
         rejected[Reason.RANGE] = np.logical_or.reduce(
             [(field < low - slack) | (field > high + slack) for field, (low, high) in limits]
@@ -447,6 +465,6 @@ def _reasons(
 
 
 def _sparse_median(field: np.ndarray, usable: np.ndarray) -> float:
-    """Median over usable blocks, of every third along both axes, because windows overlap."""
+    """Median of every third usable block along both axes; windows overlap, so these suffice."""
     every_third = field[::3, ::3][usable[::3, ::3]]
     return float(np.median(every_third)) if every_third.size else 0.0

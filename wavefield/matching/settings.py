@@ -1,4 +1,4 @@
-"""Settings of a match, and its result."""
+"""Settings and result of `match`."""
 
 from __future__ import annotations
 
@@ -16,31 +16,32 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """How two images are matched. Start from a preset: `piv` or `stereo`.
+    """Settings for matching two images. Start from a preset: `MatchSettings.piv()` or `.stereo()`.
 
     Parameters
     ----------
     iterations : tuple of int
         Gauss-Newton steps on each pyramid level, coarsest first.
     window : float
-        Side of a square with the area of the Gaussian window, px of each level.
+        Size of the Gaussian window: side of the square with the same area, px of each level.
     smoother_sigma : float
-        Standard deviation, in blocks, of the Gaussian G in the smoother 1 - (1 - G)^4; 0: none.
+        Standard deviation, in blocks, of the Gaussian G in the smoother 1 - (1 - G)^4 on the finest level; 0
+        turns the smoother off.
     coarse_smoother_sigma : float
         The same on the coarser levels.
     normalization : float
-        Standard deviation of the window that normalises brightness, px.
+        Standard deviation of the Gaussian window that normalises brightness locally, px.
     search_x, search_y : (float, float) or None
-        Displacements to search, px of the coarsest level; None: no search.
+        Smallest and largest displacement to search, px of the image; None for no search.
     search_window : float
-        As `window`, for that search.
+        Size of the window in this search, px of the coarsest level.
     min_correlation : float
         Blocks with a lower normalised correlation are invalid.
     min_gradient_energy : float
         Blocks below this fraction of the image's median gradient energy are invalid.
     max_deviation : float
-        Blocks that differ by more px from the median of their 5 x 5 neighbours are replaced by it; in the
-        last step they are invalid.
+        Blocks that differ from the median of their 5 x 5 neighbours by more than this, px, are replaced by
+        it. In the last step they are also invalid.
     """
 
     __pydantic_config__ = CHECKED
@@ -84,12 +85,12 @@ class MatchSettings:
 
     @classmethod
     def piv(cls, **changes: Any) -> MatchSettings:
-        """One camera, from one frame to the next: the defaults."""
+        """Settings for one camera, from one frame to the next: the defaults with `changes`."""
         return replace(cls(), **changes)
 
     @classmethod
     def stereo(cls, **changes: Any) -> MatchSettings:
-        """Two synchronous cameras: large smooth parallax, different lighting."""
+        """Settings for two synchronous cameras: large smooth parallax, different lighting; with `changes`."""
         return replace(
             cls(
                 iterations=(3, 3, 3, 3),
@@ -110,11 +111,11 @@ class Reason(IntFlag):
 
     VALID = 0
     MASKED = 1  # masked, saturated or NaN pixels in the block in a, or at its position in b
-    EDGE = 2  # the block leaves image b
-    TEXTURE = 4  # uniform area: gradients too weak to match
-    CORRELATION = 8  # the correlation of the two patches is too low
-    NEIGHBOURS = 16  # far from the median of the neighbours
-    RANGE = 32  # no maximum inside the search range
+    EDGE = 2  # the block moves out of image b
+    TEXTURE = 4  # uniform area: the gradients are too weak to match
+    CORRELATION = 8  # the normalised correlation is below `min_correlation`
+    NEIGHBOURS = 16  # farther than `max_deviation` from the median of the neighbours
+    RANGE = 32  # the displacement lies outside the search range
 
 
 @dataclass(frozen=True)
@@ -132,11 +133,11 @@ class Displacement:
     settings : MatchSettings
         The settings used.
     score : (2, ny, nx) float32
-        Score of every block for u and v: sums of gx r and gy r, with r the residual between the images. Zero
-        where the displacement minimizes the block's own residual.
+        Score of every block for u and v: sums of gx r and gy r, with r the residual between the images. It is
+        zero if the displacement minimises the squared residual of the block alone.
     hessian : (3, ny, nx) float32
-        Sums of gx gx, gx gy, gy gy of the gradients that the two images have in common. The inverse times the
-        score is the block's own correction of the displacement.
+        Sums of gx gx, gx gy, gy gy of the gradients common to both images. The inverse of this matrix times
+        the score is the block's own correction of the displacement.
     """
 
     u: np.ndarray
@@ -149,16 +150,16 @@ class Displacement:
 
     @property
     def x(self) -> np.ndarray:
-        """(nx,) float64: block centres in pixels of a, 0-based, pixel centres at integers."""
+        """(nx,) float64: columns of the block centres in image a, px; pixel centres are at 0, 1, 2, ..."""
         return np.arange(self.u.shape[1]) * float(BLOCK) + (BLOCK - 1) / 2
 
     @property
     def y(self) -> np.ndarray:
-        """(ny,) float64: the same along rows."""
+        """(ny,) float64: rows of the block centres in image a, px."""
         return np.arange(self.u.shape[0]) * float(BLOCK) + (BLOCK - 1) / 2
 
     @property
     def valid(self) -> np.ndarray:
-        """(ny, nx) bool: blocks whose displacement is valid."""
+        """(ny, nx) bool: blocks with a valid displacement."""
         out: np.ndarray = self.reason == 0
         return out

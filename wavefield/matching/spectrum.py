@@ -1,7 +1,7 @@
-"""Spectrum of a field on a lattice of blocks: prior, rings of wavenumber, and gains of matching.
+"""Prior spectrum of a field on a lattice of blocks, rings of wavenumber, and the footprint of a block.
 
-The prior is learned once per run from sample frames (`learned_spectrum`) and stored with the results, so that
-every frame is weighted alike.
+The prior is learned once per run from sample frames (learned_spectrum.py) and stored with the results, so
+that all frames are weighted alike. Wavenumbers of a field are in rad per block: a wave of two blocks has pi.
 """
 
 from __future__ import annotations
@@ -18,20 +18,24 @@ from wavefield.matching.kernels import BLOCK
 
 Float = NDArray[np.floating[Any]]
 
-RINGS = 40  # of wavenumber, from 0 to pi per block
-SECTORS = 6  # of direction, from along columns to along rows
-DETECTED_SIGNAL_TO_NOISE = 0.3  # least that the MAP field separates from noise
-SHORTEST_WAVENUMBER = 2.0  # rad per block: shorter waves are not searched for in gaps of a spectrum
-MIN_RING_SIGNAL_TO_NOISE = 1.5  # of a ring beyond one without waves: the noise of rings is uncertain
-FIRST_NOISE_RING = 4  # longer waves across the sight lines are errors of the calibration, not noise
-NOISE_RINGS = 5  # over which the level of noise is averaged
+RINGS = 40  # rings of wavenumber, from 0 to pi rad per block
+SECTORS = 6  # sectors of direction in a quarter turn, from waves along the rows to waves along the columns
+DETECTED_SIGNAL_TO_NOISE = 0.3  # smallest ratio at which waves in a ring stand out from the noise
+SHORTEST_WAVENUMBER = 2.0  # rad per block: beyond it no waves are looked for and the prior is not raised
+# the same ratio for rings beyond a ring without waves, where chance matters more
+MIN_RING_SIGNAL_TO_NOISE = 1.5
+FIRST_NOISE_RING = 4  # errors across the sight lines in lower rings come from the calibration, not from noise
+NOISE_RINGS = 5  # neighbouring rings over which the level of the noise is averaged
 
-FOOTPRINT_VARIANCE = 6.0  # px^2: of the area that a block's value represents in the elevation by two cameras
+# px^2: variance of the area that a block's value averages over, for the elevation from two cameras
+FOOTPRINT_VARIANCE = 6.0
 # px^2: empirical widening of the footprint that offsets the damping of short waves by the prior; tuned on
 # random and steep simulated seas
 RESTORED_VARIANCE = 1.2
-OPEN_SIGNAL_TO_NOISE = 1.0  # least of every wave while a spectrum is learned
-FIRST_SIGNAL_TO_NOISE = 6.0  # the same in the first round, whose noise is several times too small
+# signal-to-noise ratio to which the prior is raised while a spectrum is learned, and in the first of these
+# rounds, where the estimated noise is several times too small
+OPEN_SIGNAL_TO_NOISE = 1.0
+FIRST_SIGNAL_TO_NOISE = 6.0
 
 Power = tuple[tuple[tuple[float, ...], ...], ...]
 
@@ -43,31 +47,32 @@ class Prior:
     Parameters
     ----------
     k : tuple of float
-        Wavenumbers, rad per block.
+        Wavenumbers at which the spectrum is tabulated, rad per block.
     power : tuple of tuple of tuple of float
-        Mean square of the field's cosine coefficients (orthonormal), in the field's unit squared: for every
-        component (or one for all), for directions evenly from along columns to along rows (a quarter turn; or
-        one for all), at the wavenumbers.
+        Mean square of the orthonormal cosine coefficients, in the field's unit squared, nested as
+        [component][direction][wavenumber]. One component or direction stands for all. Directions divide a
+        quarter turn evenly, from waves along the rows of the lattice to waves along its columns.
     information : float
         Typical information of a block: inverse variance of its own estimate, per unit squared.
     noise : float
-        Noise of the scores, from the misfit of several fields, over that of their clusters in one field.
+        Factor on the noise of the scores from clusters of blocks. It makes the misfit between several cameras
+        agree with chi^2.
     wave_fraction : float
-        Fraction of the spectrum that is waves. Noise of long wavelength among them, as on still water, is not
-        missing from a field.
+        Fraction of the spectrum that is waves. The rest is noise of long wavelength, as on still water, and
+        does not count as missing waves in the uncertainty.
     detected : tuple of tuple of bool
-        Rings of every component in which waves stand out from the noise; all if empty. In the others the
-        power is the upper limit of what may be there undetected: a field is not damped below it.
+        For every component, the wavenumbers at which waves stand out from the noise; empty if all do. At the
+        others the power is the upper limit of waves that may be there undetected.
     undetected_fraction : float
-        Fraction of these limits that the sample fields contain.
+        Fraction of these upper limits that the sample fields contain.
     area : float
-        Variance of the area that a block's value represents, px^2.
+        Variance of the area that a block's value averages over, px^2.
 
     Notes
     -----
-    Waves have directions, a short wave moves the water along itself, and an oblique camera sees it shortened:
-    each component of an image displacement has a spectrum of its own in both wavenumbers. Of the four
-    quarters of directions cosines represent one.
+    Each component of an image displacement has a directional spectrum of its own, because a short wave moves
+    the water along its direction and an oblique camera sees it shortened. Cosines do not distinguish the four
+    quarters of direction, so a quarter turn suffices.
     """
 
     k: tuple[float, ...]
@@ -94,14 +99,14 @@ class Prior:
         return cls(tuple(map(float, k)), ((tuple(map(float, power)),),), float(information), area=area)
 
     def footprint(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Gain of the area that a block's value represents, at wavenumbers kx, ky, rad per block."""
+        """Gain of the area that a block's value averages over, at wavenumbers kx, ky, rad per block."""
         return footprint(kx, ky, self.area)
 
     def with_min_signal_to_noise(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
-        """The prior, raised so that each resolved mode has at least this signal-to-noise ratio.
+        """The prior, raised so that every mode below SHORTEST_WAVENUMBER has at least this signal-to-noise.
 
-        A prior that is too small suppresses waves, and a spectrum learned from such fields is too small
-        again. Spectra are therefore learned with a raised prior.
+        A prior that is too small suppresses waves, and a spectrum learned from the resulting fields would
+        again be too small. Spectra are therefore learned with a raised prior.
         """
         k = np.array(self.k)
         least = ratio / (self.footprint(k, np.zeros(1)) ** 2 * self.information)
@@ -110,8 +115,8 @@ class Prior:
         return replace(self, power=power)
 
     def spectrum(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Spectrum at wavenumbers kx, ky, rad per block, that broadcast to S: (1 or c,) + S."""
-        table = np.log(np.maximum(self.power, 1e-30))  # a field without any motion has none
+        """Spectrum at wavenumbers kx, ky, rad per block, which broadcast to a shape S: (1 or c,) + S."""
+        table = np.log(np.maximum(self.power, 1e-30))  # a field without motion has power 0
         directions = table.shape[1]
         at = np.interp(np.hypot(kx, ky), self.k, np.arange(len(self.k)))
         direction = np.arctan2(np.abs(ky), np.abs(kx)) * (directions / (0.5 * np.pi)) - 0.5
@@ -127,24 +132,24 @@ class Prior:
         return np.asarray(np.exp(out))
 
     def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Fraction of `spectrum` that is waves rather than an upper limit, (1 or c,) + S."""
+        """Fraction of `spectrum` that is expected to be waves, (1 or c,) + S; below 1 for upper limits."""
         detected = np.array(self.detected or [[True] * len(self.k)])
         fraction = self.wave_fraction * np.where(detected, 1.0, self.undetected_fraction)
         return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in fraction])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Signal-to-noise ratio F^2 A S of a wave, (1 or c, ...): footprint F, information A, spectrum S."""
+        """Signal-to-noise ratio F^2 A S of a mode, with the typical information A: (1 or c,) + S."""
         return np.asarray(self.footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
 
     def gain(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Fraction of a wave's amplitude that the MAP field keeps, F^2 A S / (F^2 A S + 1), (1 or c,) + S."""
+        """Amplitude gain of the MAP field for a wave, F^2 A S / (F^2 A S + 1): (1 or c,) + S."""
         ratio = self.signal_to_noise(kx, ky)
         return np.asarray(ratio / (ratio + 1.0))
 
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Variance of the MAP field by waves, G^2 S, and by noise, G^2 / (F^2 A), each (1 or c,).
+        """Variance of the MAP field due to waves, G^2 S, and due to noise, G^2 / (F^2 A), each (1 or c,).
 
-        For blocks with the typical information; without the mean over the field.
+        All blocks have the typical information; the mean over the lattice `shape` (ny, nx) does not count.
         """
         kx, ky = wavenumbers(shape)
         squared_gain = np.square(self.gain(kx, ky))
@@ -174,13 +179,17 @@ class Prior:
 
 
 def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Wavenumbers of a lattice's cosines along columns (nx,) and along rows (ny, 1), rad per block."""
+    """Wavenumbers kx (nx,) and ky (ny, 1) of the cosines on a lattice (ny, nx), rad per block."""
     ky, kx = (np.pi * np.arange(n) / n for n in shape)
     return kx, ky[:, None]
 
 
 class WavenumberRings:
-    """Rings of wavenumber, and their sectors."""
+    """Means over rings of wavenumber, and over their sectors of direction, for modes kx (mx,), ky (my, 1).
+
+    Attributes: middle (rings,), the wavenumbers of the rings; count (rings,) and sector_count
+    (sectors, rings), the number of modes in each.
+    """
 
     def __init__(self, kx: Float, ky: Float) -> None:
         edges = np.linspace(0, np.pi, RINGS + 1)
@@ -208,8 +217,10 @@ class WavenumberRings:
         return np.asarray(total.reshape(-1, SECTORS, RINGS) / np.maximum(self.sector_count, 1))
 
     def significant(self, ratio: Float) -> NDArray[np.bool_]:
-        """Whether each ring (rings,) has significant power, from its power over noise.
-        Beyond the first ring without, a ring and the mean with both its neighbours have to exceed more noise.
+        """Whether each ring has significant power, (rings,), from its ratio of power to noise.
+
+        Up to the first ring without, DETECTED_SIGNAL_TO_NOISE suffices. Beyond it, a ring and the mean with
+        its two neighbours must both exceed MIN_RING_SIGNAL_TO_NOISE.
         """
         occupied = self.count > 0
         last = self.count_until_false(occupied & (ratio > DETECTED_SIGNAL_TO_NOISE))
@@ -219,7 +230,7 @@ class WavenumberRings:
         return np.asarray((np.arange(RINGS) < last) | beyond_gap)
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
-        """Level of noise, (rings,), from single rings, without long waves (calibration errors)."""
+        """Ratio of power to noise averaged over neighbouring rings, (rings,), without calibration errors."""
         count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")
@@ -235,7 +246,7 @@ class WavenumberRings:
 
 
 def footprint(kx: np.ndarray, ky: np.ndarray, variance: float = FOOTPRINT_VARIANCE) -> np.ndarray:
-    """Gain of the area that a block's value represents, of a variance in px^2, at kx, ky, rad per block."""
+    """Gain of an area of Gaussian weight with this variance, px^2, at wavenumbers kx, ky, rad per block."""
     out: np.ndarray = np.exp(-0.5 * variance * (np.square(kx) + np.square(ky)) / BLOCK**2)
     return out
 
@@ -252,8 +263,8 @@ def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
 def displacement_area(bead_width: float) -> float:
     """Variance, px^2, of the area that the displacement of a block averages over, for a bead width in px.
 
-    The block contributes 25/12 and the images of beads width^2 / 3 (found by matching drawn beads of 1.5 to
-    4.2 px). The remaining 1.2 restores part of the short waves that the prior suppresses.
+    The block contributes 25/12 and the images of beads width^2 / 3, as measured with drawn beads of 1.5 to
+    4.2 px. RESTORED_VARIANCE is added.
 
     >>> [round(displacement_area(width), 2) for width in (1.5, 3.0)]
     [4.03, 6.28]
