@@ -340,7 +340,7 @@ def _search(
 def _largest(correlation: np.ndarray, border: int, best: np.ndarray) -> None:
     """Write the number of the shift with the largest correlation of each block to best (ny, nx).
 
-    Among equal ones the first counts. `correlation` is (rows of shifts, ny, columns of shifts, nx + 2 border).
+    Among equal ones the first counts. `correlation` is (row shifts, ny, column shifts, nx + 2 border).
     """
     rows, ny, n, width = correlation.shape
     nx = width - 2 * border

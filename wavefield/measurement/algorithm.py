@@ -1,5 +1,5 @@
 """The version of the measurement, part of every cube's recipe."""
 
-# Raise it whenever a change makes the values of a cube other than they were: a cube that was begun before
-# is then not gone on with. Changes that leave all values as they are leave it alone.
+# Raise it with every change that alters the values of a cube. A cube that was begun with another version is
+# then not continued.
 ALGORITHM = 46

@@ -1,4 +1,4 @@
-"""How well the cameras agree: the paper's accuracy section, for single steps."""
+"""Agreement of the cameras in a single step: the error measures of the paper's accuracy section."""
 
 from __future__ import annotations
 
@@ -25,37 +25,38 @@ from wavefield.variables import Quality
 Pair = tuple[str, str]
 Frames = Mapping[str, Sequence[NDArray[Any] | None]]
 
-MAX_TRIED_STEPS = 12  # around the requested one, where frames are missing or bad
+MAX_TRIED_STEPS = 12  # steps that are tried, nearest first, if frames are missing or bad
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Internal errors of one step; NaN where not measured.
+    """Differences between cameras and pairs of cameras in one step; NaN where not measured.
 
     Parameters
     ----------
     pixel : float
         Length that counts as one pixel, metres.
     z : dict of (str, str) to ndarray, (ny, nx)
-        Elevation from each pair alone at the first frame, metres: the planned pairs and the direct pairs
-        among their partners.
+        Elevation at the first frame from each pair alone, metres. The pairs are those of the geometry, which
+        contain the reference, and the direct pairs of the other cameras.
     eps_y : dict of (str, str) to ndarray, (n,)
-        Mismatch across the sight line at all blocks that were matched, before rejection by it, metres.
+        Epipolar error of all matched blocks, before any is rejected for it, metres.
     z_std : dict of (str, str) to float
-        eps_y's rms over |dD|: the standard uncertainty of z under isotropy of the matching error, metres.
+        Rms of eps_y over |dD|, metres: the standard uncertainty of z if the matching error is isotropic.
     recombined : dict of (str, str) to ndarray, (ny, nx)
-        Elevation by a direct pair's displacement made of the two planned ones, minus that matched directly.
+        For a direct pair, elevation from the difference of two displacements from the reference, minus that
+        from direct matching, metres.
     moved : dict of (str, str) to ndarray, (3, ny, nx)
         Displacement dx, dy, dz from the first frame to the second by each pair alone, metres.
     eps_piv : dict of tuple of str to ndarray, (ny, nx)
-        Misfit of the cameras' displacements, px of the binned images: of each pair alone, and of all the
-        cameras that the geometry takes for the velocity.
+        Misfit of the displacements in the images, px of the binned images: of each pair alone, and of all
+        cameras that measure the velocity.
     carried : dict of str to float
-        Wavelength at which the gain is one half in z, u, v, w, metres (`shortest_carried`).
+        Wavelength at which the gain of z, u, v, w is one half, metres (`shortest_carried`).
     noise : dict of str to float
         Median standard uncertainty of z and of the displacements dx, dy, dz per step, metres.
     widths : dict of str to float
-        Width of every camera's beads, px; 0 of a texture.
+        Width of the beads in the images of every camera, px; 0 for a texture.
     """
 
     pixel: float
@@ -80,13 +81,13 @@ class Diagnosis:
         return {(p, q): self.moved[p] - self.moved[q] for p, q in combinations(self.moved, 2)}
 
     def table(self) -> list[dict[str, Any]]:
-        """Rms of every error.
+        """Table with the rms of every error.
 
         Returns
         -------
         list of dict
-            ``name``, ``cm`` (None for those in the images), ``px``, and ``share`` of nodes or blocks beyond
-            three times the rms, which are left out of it once.
+            ``name``; the rms in ``cm`` (None for errors measured in the images) and ``px``; ``share``, the
+            fraction of nodes or blocks beyond three times the rms, which the rms excludes.
         """
         rows = []
         for pair, values in self.eps_y.items():
@@ -115,12 +116,12 @@ class Diagnosis:
 
 
 def joined(cameras: Sequence[str]) -> str:
-    """Name of a pair, or of several cameras: their names joined by hyphens."""
+    """Names of cameras joined by hyphens: "cam3-cam1"."""
     return "-".join(cameras)
 
 
 def rms_within(values: NDArray[Any]) -> tuple[float, float]:
-    """Rms without values beyond three times the rms, and their fraction."""
+    """Rms of the finite values without those beyond three times the rms, and the fraction of these."""
     values = values[np.isfinite(values)]
     if values.size == 0:
         return float("nan"), 0.0
@@ -136,20 +137,20 @@ def diagnose(
     pixel: float | None = None,
     masks: Frames | None = None,
 ) -> Diagnosis:
-    """Compare the surfaces of pairs of cameras, and the motion by each pair.
+    """Compare elevation and motion between the pairs of cameras, in one step.
 
     Parameters
     ----------
     frames : mapping of str to sequence of 2 ndarray
-        Per camera the two frames of one step.
+        The two frames of one step, per camera.
     geometry : GridGeometry
         Rig, grid and settings.
     model : Model, optional
-        What was learned of the record; learned from these frames if left out.
+        The learned record. Default: learned from these frames.
     pixel : float, optional
-        Length that counts as one pixel, metres; that of the rectified images if left out.
+        Length that counts as one pixel, metres. Default: that of the rectified images.
     masks : mapping of str to sequence of 2 ndarray of bool, optional
-        True where pixels of a camera's frames do not count.
+        True on pixels to ignore, per camera and frame.
 
     Returns
     -------
@@ -158,11 +159,12 @@ def diagnose(
     Raises
     ------
     ValueError
-        If a camera's frame is missing or cannot be used, nothing can be matched, or it is a light sheet.
+        If the frame of a camera is missing or unusable, if nothing can be matched, or for a light sheet,
+        whose cameras are not matched with each other.
 
     Notes
     -----
-    Recombined: (x_1 - x_2) = (x_1 - x_3) - (x_2 - x_3), with the middle camera 3 as reference.
+    The recombined displacement is (x_1 - x_2) = (x_1 - x_3) - (x_2 - x_3), with camera 3 as reference.
     """
     if geometry.settings.sheet_thickness is not None:
         raise ValueError("cameras of a light sheet are not matched with each other: no pairs to compare")
@@ -202,7 +204,7 @@ def diagnose(
 def _learned(
     frames: Frames, geometry: GridGeometry, model: Model | None, masks: Frames
 ) -> tuple[GridGeometry, Model, Images, Images]:
-    """Images of both frames, and a model; the model is learned from them if none is given."""
+    """Geometry, model and images of both frames; the model is learned from them if None."""
     instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
     covered = [{n: masks[n][k] for n in masks} for k in (0, 1)]
     if model is None:
@@ -221,7 +223,7 @@ def _learned(
 
 
 def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
-    """Displacement between the other cameras of two pairs with the same reference."""
+    """Displacement from the partner camera of `other` to that of `one`; both have the same reference."""
     d, parallax = one.difference - other.difference, one.parallax - other.parallax
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / np.hypot(*parallax)
     rejected, matched = one.rejected | other.rejected, one.matched & other.matched
@@ -229,7 +231,7 @@ def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
 
 
 def _matched(view: Images, geometry: GridGeometry) -> dict[Pair, PairMatch]:
-    """Match each planned pair, and the pairs among the other cameras of these."""
+    """Match the pairs of the geometry, and the direct pairs of their partners."""
     pairs = [*geometry.pairs, *combinations([b for _, b in geometry.pairs], 2)]
     return {(a, b): match_pair(view.flat[a], view.flat[b], (a, b), geometry) for a, b in pairs}
 
@@ -241,14 +243,17 @@ def _moved(
     geometry: GridGeometry,
     model: Model,
 ) -> tuple[dict[Pair, NDArray[Any]], dict[tuple[str, ...], NDArray[Any]], list[float]]:
-    """Displacements from each pair alone, misfits of each pair and of all cameras, uncertainty of all."""
+    """`Diagnosis.moved` and `Diagnosis.eps_piv`, and the median standard uncertainties of dx, dy, dz.
+
+    `middle` (ny, nx) is the elevation at mid-time, metres.
+    """
     moved: dict[Pair, NDArray[Any]] = {}
     eps_piv: dict[tuple[str, ...], NDArray[Any]] = {}
     moves = flows(views[0].raw, views[1].raw, geometry.settings.piv, model)
     d_std = [float("nan")] * 3
     for cameras in dict.fromkeys((*pairs, geometry.velocity_cameras)):
         if not set(cameras) <= set(moves):
-            continue  # a camera gives no velocity
+            continue  # this camera does not measure velocity
         flows_of = {name: moves[name] for name in cameras}
         step = velocity((None, flows_of, None), middle, geometry, model.record.path_frames)
         assert step is not None  # every camera has both frames
@@ -270,7 +275,7 @@ def diagnose_around(
     middle: int,
     pixel: float,
 ) -> Diagnosis | None:
-    """Compare the pairs of cameras in the usable step nearest to the middle; pixel in metres."""
+    """Diagnose the usable step nearest to step `middle`; None if there is none. pixel is in metres."""
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:MAX_TRIED_STEPS]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}
         try:

@@ -22,11 +22,11 @@ from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
 
-# Variance of matched displacements over that of the sample steps: above it the spectra learned from these
-# suppress waves, by more than the uncertainties hold.
+# Largest variance of matched displacements over that in the sample steps. Above it, the learned spectra
+# suppress more of the waves than the uncertainties account for.
 MAX_MOTION_RATIO = 16.0
-MIN_TRUST = 0.5  # in the scores of a block that counts as measured
-STILL_WATER_VARIANCE = 8e-4  # of matched displacements, px^2: less in the sample steps is taken for this
+MIN_TRUST = 0.5  # least weight (`trust_in_scores`) of a block that counts as measured
+STILL_WATER_VARIANCE = 8e-4  # px^2: lower bound of the variance in the sample steps, for this ratio
 
 
 @dataclass(frozen=True)
@@ -34,15 +34,13 @@ class CameraFlow:
     """One camera's displacement from one frame to the next, interpolated between blocks."""
 
     spline: Float  # (ny, nx, 2): spline coefficients on the lattice of blocks, px of the binned image
-    # (1 or 2, ny, nx): variance by noise, and by what the prior removes or adds, px^2; of each component or
-    # of both
-    noise: Float
-    missing: Float
+    noise: Float  # (1 or 2, ny, nx): variance due to noise, px^2, common to both components or of each
+    missing: Float  # (1 or 2, ny, nx): variance of waves that the prior suppresses, px^2
     rejected: NDArray[np.uint16]  # (ny, nx): bits of `Quality`; 0 where measured
 
     @cached_property
     def valid(self) -> NDArray[np.bool_]:
-        """(ny, nx): blocks that were measured."""
+        """(ny, nx): True for blocks that were measured."""
         return np.asarray(self.rejected == 0)
 
 
@@ -51,13 +49,13 @@ Flows = Mapping[str, CameraFlow]
 
 @dataclass
 class FlowEstimate:
-    """MAP displacement between two frames, with the match and information it came from."""
+    """MAP displacement between two frames: waves + edges + harmonics; with the information it came from."""
 
-    waves: Float  # (2, my, mx): cosine coefficients of the displacement less its smooth part, px
-    edges: Float = field(repr=False)  # (2, ny, nx): that smooth part (`Modes.split`), px
-    harmonics: Float = field(repr=False)  # (2, ny, nx): second harmonics, px (`harmonics`)
-    each: Float = field(repr=False)  # (2, ny, nx): diagonal of every block's A, px^-2
-    # Scores and reasons to reject blocks at the last evaluation
+    waves: Float  # (2, my, mx): cosine coefficients, px
+    edges: Float = field(repr=False)  # (2, ny, nx): smooth part (`Modes.split`), px
+    harmonics: Float = field(repr=False)  # (2, ny, nx): second-harmonic correction, px (`harmonics`)
+    each: Float = field(repr=False)  # (2, ny, nx): diagonal of the information A of every block, px^-2
+    # scores of the blocks at the last evaluation, and the reasons why blocks were rejected
     found: matching.Displacement = field(repr=False)
 
     @property
@@ -73,9 +71,9 @@ def filled(found: matching.Displacement) -> Float:
 
 def harmonics(midway: Float) -> Float:
     """Second-harmonic correction from start-point to midpoint coordinates, (2, ny, nx), px.
-    u(x) = D(x + u/2) gives u - D = (D . grad) D / 2 to first order. The mean of D is excluded: a common
-    motion
-    shifts waves without changing them.
+    With D the displacement as a function of the particle's midpoint, u(x) = D(x + u/2) gives
+    u - D = (D . grad) D / 2 to first order. The mean of D is excluded, because a common motion shifts waves
+    without changing them.
     """
     x, y = midway
     xx, xy, yx, yy = slopes_of(x, y)
@@ -90,10 +88,10 @@ def map_displacement(
     modes: Modes,
     with_harmonics: bool = False,
 ) -> FlowEstimate:
-    """MAP displacement from all blocks of a match.
-    The prior applies to the displacement without harmonics. While spectra and noise are learned, harmonics
-    are kept
-    as waves, because the fields are noisy then and so would be their harmonics.
+    """MAP displacement from all blocks of a match, evaluated again at each solution until it converges.
+
+    The prior describes the displacement without the second-harmonic correction. While spectra and noise are
+    learned, this correction is not separated, because it would be as noisy as the fields are then.
     """
     found = match
     u = filled(match)
@@ -137,8 +135,9 @@ def flows(
     settings: matching.MatchSettings,
     model: Model,
 ) -> dict[str, CameraFlow]:
-    """Displacements of every camera that has a usable frame at both instants.
-    Blocks are rejected as out of range where waves are far higher than in the sample steps.
+    """MAP displacement of every camera that has a usable frame at both instants.
+
+    All blocks of a camera are rejected as out of range if the waves are far higher than in the sample steps.
     """
     out, learned = {}, dict(model.record.motion)
     for name in first:
@@ -153,7 +152,7 @@ def flows(
 
 
 def motion_variance(found: matching.Displacement) -> float:
-    """Variance over the field of the matched displacement, sum of both components, px^2."""
+    """Variance of the matched displacement over the field, summed over both components, px^2."""
     valid = found.valid
     return float(np.var(found.u[valid]) + np.var(found.v[valid])) if valid.any() else 0.0
 
@@ -164,7 +163,7 @@ def flow_near(
     other: matching.PreparedImage,
     model: FieldModel,
 ) -> CameraFlow:
-    """MAP displacement of one camera, started from a match near it."""
+    """MAP displacement of one camera, starting from the match `near`."""
     return camera_flow(map_displacement(near, one, other, model.modes, True), model)
 
 

@@ -1,4 +1,4 @@
-"""The elevation of one instant: all pairs of cameras together, with a prior spectrum, read at the nodes."""
+"""Elevation of one instant: the MAP field from all pairs of cameras together, interpolated to the nodes."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from wavefield.variables import Quality
 Float = NDArray[np.floating]
 PreparedImages = Mapping[str, matching.PreparedImage]
 
-_SMOOTH_MODES = 6  # half waves along the lattice: epipolar errors as smooth as that are the calibration's
-NOISE_MARGIN = 1.5  # on the noise across the sight lines, in the weights: spectra contain some noise
-MIN_MEASURED = 0.2  # of the common view: a frame with less shows no surface
+_SMOOTH_MODES = 6  # cosines along each side: epipolar errors as smooth as these come from the calibration
+NOISE_MARGIN = 1.5  # factor on the noise across the sight lines, because learned spectra contain some noise
+MIN_MEASURED = 0.2  # least fraction of the common view with valid blocks; below, there is no surface
 
 
 @dataclass(frozen=True)
 class Blocks:
     """Elevation on the lattice by least squares over all pairs, without a prior."""
 
-    z: Float  # (ny, nx): elevation and mismatch, metres; NaN where no pair counts
-    eps_y: Float
-    valid: NDArray[np.bool_]  # (ny, nx): where at least one pair counts
-    rejected: NDArray[np.uint16]  # (ny, nx): why none does: bits of `Quality`
+    z: Float  # (ny, nx): elevation, metres; NaN where no pair is valid
+    eps_y: Float  # (ny, nx): epipolar error, metres; NaN where no pair is valid
+    valid: NDArray[np.bool_]  # (ny, nx): where at least one pair is valid
+    rejected: NDArray[np.uint16]  # (ny, nx): bits of `Quality`: why no pair is valid
 
     @property
     def filled(self) -> Float:
@@ -43,8 +43,10 @@ class Blocks:
 
 
 def combine(matches: Sequence[PairMatch]) -> Blocks:
-    """Least squares over the valid pairs: z = -sum dD . d / sum |dD|^2.
-    The part across the sight line is eps_Y = sum (dD_y d_x - dD_x d_y) / sum |dD|.
+    """Elevation by least squares over the valid pairs: z = -sum dD . d / sum |dD|^2.
+
+    d is the displacement of a pair and dD its parallax. The epipolar error is
+    eps_Y = sum (dD_y d_x - dD_x d_y) / sum |dD|.
     """
     shape = matches[0].eps_y.shape
     along, across, square, length = np.zeros((4, *shape), np.float32)
@@ -67,14 +69,14 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
 
 @dataclass
 class ElevationEstimate:
-    """MAP elevation of one instant, with the information (inverse variance) and noise of its blocks."""
+    """MAP elevation of one instant, waves + edges, with the information and noise of its blocks."""
 
-    waves: Float  # (1, my, mx): cosine coefficients of the elevation less its smooth part, metres
-    edges: Float = field(repr=False)  # (1, ny, nx): that smooth part (`Modes.split`), metres
-    information: Float = field(repr=False)  # (ny, nx): A of every block, per square metre
+    waves: Float  # (1, my, mx): cosine coefficients, metres
+    edges: Float = field(repr=False)  # (1, ny, nx): smooth part (`Modes.split`), metres
+    information: Float = field(repr=False)  # (ny, nx): information A of every block, per square metre
     noise: float  # mean variance of the scores per unit of their Hessian
-    # Rms of the smooth epipolar error as metres of elevation: an error of the calibration, assumed to be as
-    # large along the sight lines
+    # rms of the smooth epipolar error, as metres of elevation; it comes from the calibration, whose error
+    # along the sight lines is assumed to be as large
     epipolar: float
     inconsistent: NDArray[np.bool_] = field(repr=False)  # (ny, nx): where pairs contradict each other
 
@@ -89,8 +91,10 @@ def map_elevation(
     noise_across: bool = True,
 ) -> ElevationEstimate:
     """MAP elevation from the blocks of all pairs; pixel in metres.
-    A rise of z moves the patches of a pair by -dD z, so its score is -dD . s and its information dD H dD.
-    With whole beads they are those of `scores_at`.
+
+    An elevation z displaces the image of a pair by -dD z, so the score for z is -dD . s and its Hessian is
+    dD H dD. With `whole_beads`, s and H come from `scores_at`, else from `reevaluate`. With `noise_across`,
+    the noise of the scores is measured across the sight lines, else along them.
     """
     z = blocks.filled
     edges, waves = modes.split(z)
@@ -107,9 +111,9 @@ def map_elevation(
         scores = [one.score(z[0]) for one in pairs]
         score = np.sum(scores, axis=0)
         hessian = np.sum([one.hessian for one in pairs], axis=0)
-        # scores are summed over the pairs first: they share the reference's noise, which cancels between
-        # opposite sides; across the sight lines there is only noise, once the smooth part, an error of the
-        # calibration, is subtracted
+        # The scores are summed over the pairs before the noise is estimated: the pairs share the noise of the
+        # reference, which cancels between cameras on opposite sides. Across the sight lines there is only
+        # noise, once the smooth part (an error of the calibration) is subtracted.
         nu = _noise_across(pairs, smooth) if noise_across else _noise(score, hessian, modes.freedom)
         information = (hessian / nu)[None]
         right = information * (z - edges) + (score / nu)[None]
@@ -125,7 +129,10 @@ def map_elevation(
 
 
 def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float) -> float:
-    """Mean information about the elevation of the blocks that have any, before the MAP estimate."""
+    """Mean information of blocks about the elevation before the MAP estimate, per square metre.
+
+    Blocks without information do not count; pixel is in metres.
+    """
     pairs = [_PairScores(m, pixel) for m in matches]
     z = blocks.filled[0]
     hessian = np.sum([one.hessian for one in pairs], axis=0)
@@ -135,35 +142,37 @@ def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float
 
 
 def _noise(score: Float, hessian: Float, freedom: float) -> Float:
+    """Noise of the scores (ny, nx) for the elevation, per unit of their Hessian (`noise_of_scores`)."""
     return noise_of_scores(score[None], hessian, (hessian > 0).astype(np.float32), freedom)
 
 
 def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
-    """Noise variance of the scores, (ny, nx), from the component across the sight lines."""
+    """Noise of the scores per unit of their Hessian, (ny, nx), measured across the sight lines."""
     parts = [one.across(smooth) for one in pairs]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     return np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
 
 
 def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:
-    """Smooth part of the mismatch across the sight lines as an elevation, (ny, nx), and its rms, metres.
-    The rms is corrected for noise, which is estimated from waves up to a third shorter.
+    """Smooth part of the epipolar error as an elevation, (ny, nx), and its rms, metres.
+
+    The rms is corrected for noise, which is estimated from the next shorter modes.
     """
     waves = modes.waves(combine([m.turned for m in matches]).filled)
     smooth = np.zeros_like(waves)
     smooth[:, :_SMOOTH_MODES, :_SMOOTH_MODES] = waves[:, :_SMOOTH_MODES, :_SMOOTH_MODES]
-    # along the sight lines the field keeps of them what it keeps of waves
+    # the gain of the MAP field: the same error along the sight lines would be reduced by it
     precision = np.square(modes.foot) * np.float32(modes.prior.information)
     kept = waves * precision / (precision + modes.inverse)
     near, all_of_them = (
         float(np.sum(np.square(kept[0, :n, :n]))) for n in (_SMOOTH_MODES, 3 * _SMOOTH_MODES // 2)
     )
-    square = near - (all_of_them - near) / 1.25  # as many modes more
+    square = near - (all_of_them - near) / 1.25  # the shorter modes are 1.25 times as many
     return np.asarray(modes.field(smooth)[0]), float(np.sqrt(max(square, 0.0) / np.prod(modes.lattice)))
 
 
 class _PairScores:
-    """Score and Hessian of the elevation by the blocks of one pair."""
+    """Scores and Hessians of one pair for the elevation."""
 
     def __init__(self, match: PairMatch, pixel: float) -> None:
         self.match, self.found = match, match.found
@@ -172,12 +181,12 @@ class _PairScores:
         self._weigh()
 
     def _weigh(self) -> None:
-        """Information dD H dD of each block about the elevation, (ny, nx)."""
+        """Compute the Hessian dD H dD of each valid block for the elevation, (ny, nx)."""
         self._hessian = self.found.hessian * self.match.valid
         self.hessian = _through(self.D, self._hessian)
 
     def reevaluate(self, z: Float, prepared: PreparedImages, whole_beads: bool) -> None:
-        """Evaluate both images at an elevation (ny, nx)."""
+        """Compute scores and Hessians of the two images at an elevation (ny, nx), metres."""
         rise = z - self._height
         a, b = (prepared[name] for name in self.match.pair)
         u, v = self.match.found.u - self.D[0] * rise, self.match.found.v - self.D[1] * rise
@@ -186,11 +195,11 @@ class _PairScores:
         self._weigh()
 
     def score(self, z: Float) -> Float:
-        """Score at an elevation (ny, nx) close to the last evaluation."""
+        """Score at an elevation (ny, nx), extrapolated from the last evaluation."""
         return self._score(self.D, self.hessian, self.here - z)
 
     def across(self, smooth: Float) -> tuple[Float, Float]:
-        """Score and Hessian for a displacement across the sight lines, with "heights" (ny, nx)."""
+        """Score and Hessian for "elevations" across the sight lines, less their smooth part (ny, nx)."""
         D = quarter_turn(self.D)
         hessian = _through(D, self._hessian)
         return self._score(D, hessian, self.match.turned.height - smooth), hessian
@@ -201,7 +210,7 @@ class _PairScores:
 
 
 def _through(D: Float, h: Float) -> Float:
-    """Quadratic form D h D of blocks."""
+    """Quadratic form D h D of each block."""
     return np.asarray(D[0] ** 2 * h[0] + 2 * D[0] * D[1] * h[1] + D[1] ** 2 * h[2])
 
 
@@ -212,15 +221,16 @@ MatchedPairs = tuple[Blocks, list[PairMatch]]
 class Surface:
     """Elevation of one instant at the nodes of the grid."""
 
-    z: Float  # (ny, nx): elevation and mismatch across the sight line, metres
-    eps_y: Float
-    noise: Float  # (ny, nx): variance of z by noise, and of waves that the prior removes, m^2
-    missing: Float
+    z: Float  # (ny, nx): elevation, metres
+    eps_y: Float  # (ny, nx): epipolar error, metres
+    noise: Float  # (ny, nx): variance of z due to noise, m^2
+    missing: Float  # (ny, nx): variance of waves that the prior suppresses, m^2
     epipolar: float  # rms of the smooth epipolar error as elevation, metres
     quality: NDArray[np.uint16]  # (ny, nx): bits of `Quality`: measured or filled, and why it was rejected
-    inconsistent: NDArray[np.bool_]  # (ny, nx): where pairs of cameras see different surfaces
-    # z at places x, y (ny, nx), metres, one near each node; whether it was measured at x, y, z
+    inconsistent: NDArray[np.bool_]  # (ny, nx): where pairs of cameras give different elevations
+    # read(x, y): elevation at places x, y (ny, nx), one near each node, metres
     read: Callable[[Float, Float], Float] = field(repr=False)
+    # is_measured(x, y, z): whether the surface was measured at these places
     is_measured: Callable[[Float, Float, Float], NDArray[np.bool_]] = field(repr=False)
 
 
@@ -274,7 +284,7 @@ def surface_of(
 
 
 def _sheet(shape: tuple[int, int]) -> Surface:
-    """The surface of a light sheet: z = 0."""
+    """The surface for a light sheet: z = 0 everywhere."""
     z = np.zeros(shape, np.float32)
     quality, inconsistent = np.full(shape, Quality.MEASURED, np.uint16), np.zeros(shape, bool)
     unknown = np.full_like(z, np.nan)
@@ -284,7 +294,7 @@ def _sheet(shape: tuple[int, int]) -> Surface:
 
 
 def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPairs | None:
-    """Match the pairs of one instant; None if fewer than two cameras have a frame or few blocks match."""
+    """Match the pairs of one instant; None if fewer than two cameras have a frame or too few blocks match."""
     present = tuple(prepared)
     while pairs := geometry.pairs_for(present):
         reference = pairs[0][0]
@@ -294,13 +304,13 @@ def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPair
         blocks = combine(matches)
         if blocks.valid.sum() >= least:
             return blocks, matches
-        # the reference may have a blank frame: try the other cameras without it
+        # the frame of the reference may be blank: try again without it
         present = tuple(n for n in present if n != reference)
     return None
 
 
 def windowed(matches: Sequence[PairMatch], geometry: GridGeometry) -> Float:
-    """Elevation at the nodes without the prior, (ny, nx), metres, for comparisons between pairs."""
+    """Elevation at the nodes without a prior, (ny, nx), metres; NaN where no pair is valid."""
     blocks = combine(matches)
     if not blocks.valid.any():
         return np.full(geometry.grid.shape, np.nan, np.float32)
