@@ -33,19 +33,19 @@ MARK_ATTRIBUTE = "wavefield_mark"  # of the root of a Zarr store
 
 @dataclass(frozen=True)
 class Product:
-    """Something that this program writes, and what it is made from."""
+    """A kind of output file or store of wavefield, and the identity of the data that it is made from."""
 
     kind: str  # Such as "report" or "wave store", in small letters
-    source: str = "0" * 16  # Identity of what it is made from: `identity_of`
+    source: str = "0" * 16  # Identity of the data that it is made from, as `identity_of` returns it
 
 
 def identity_of(*parts: object) -> str:
-    """Sixteen hexadecimal digits that identify what a product is made from."""
+    """Return sixteen hexadecimal digits, a hash of `parts`: values that JSON or `str` can write."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
 def file_names(folder: Path) -> list[str]:
-    """Sorted paths of all files below a folder, relative to it; links count as files."""
+    """Return the sorted paths, relative to a folder, of all files below it; links count as files."""
     out = []
     for place, folders, files in os.walk(folder):
         links = [name for name in folders if os.path.islink(os.path.join(place, name))]
@@ -54,7 +54,9 @@ def file_names(folder: Path) -> list[str]:
 
 
 def read_mark(path: Path) -> Product | None:
-    """The product that the mark of a file or Zarr store names; None without a mark, or if it was changed."""
+    """Return the product that the mark of a file or Zarr store names; StoreError if it must not be read.
+    None if it has no mark, or if its content was changed since the mark was written.
+    """
     try:
         if path.is_dir():
             mark = json.loads((path / "zarr.json").read_bytes())["attributes"][MARK_ATTRIBUTE]
@@ -74,14 +76,14 @@ def read_mark(path: Path) -> Product | None:
 
 
 def has_mark(store: Path) -> bool:
-    """Whether a Zarr store claims to be a product of this program."""
+    """Whether a Zarr store has a mark of wavefield; its content is not compared with the mark."""
     with suppress(OSError):
         return MARK_ATTRIBUTE.encode() in (store / "zarr.json").read_bytes()
     return False
 
 
 def write_mark(path: Path, product: Product) -> None:
-    """Add the mark of a product to a finished file or Zarr store."""
+    """Append the mark of a product to a finished text file, or add it to the attributes of a Zarr store."""
     if path.is_dir():
         file = path / "zarr.json"
         data = json.loads(file.read_bytes())
@@ -95,7 +97,7 @@ def write_mark(path: Path, product: Product) -> None:
 
 
 def _digest(path: Path) -> str:
-    """Digest of a file, or of all files of a Zarr store, without the mark."""
+    """Return the digest of a file, or of all files of a Zarr store; their mark is left out."""
     digest = hashlib.blake2b(digest_size=16)
     if path.is_dir():
         for name in file_names(path):
@@ -120,7 +122,11 @@ def _digest(path: Path) -> str:
 
 
 def check_replaceable(path: Path, product: Product | None = None, replace: bool = False) -> None:
-    """Refuse to replace anything but the same product of the same source, unchanged since it was written."""
+    """Raise StoreError if something at `path` must not be replaced.
+
+    An empty folder may be replaced, and an unchanged file or store whose mark is `product`; with `replace`
+    any plain file. Links, pipes and devices never are.
+    """
     try:
         mode = os.lstat(path).st_mode
     except FileNotFoundError:
@@ -150,7 +156,9 @@ def check_replaceable(path: Path, product: Product | None = None, replace: bool 
 
 
 def refuse_input(path: Path, *inputs: object) -> None:
-    """Refuse to write over, or into, a file or folder that the same command reads."""
+    """Raise StoreError if `path` is one of `inputs`, or inside a Zarr store that is one of them.
+    Inputs are the files and folders that the same command reads; those that are not paths are ignored.
+    """
     for one in inputs:
         if not isinstance(one, str | Path):
             continue
@@ -165,8 +173,12 @@ def refuse_input(path: Path, *inputs: object) -> None:
 def atomic(
     path: str | Path, product: Product | None = None, *, replace: bool = False, inputs: Iterable[object] = ()
 ) -> Iterator[Path]:
-    """Write a file or a folder under another name, and let it take its place when it is finished.
-    Without a product nothing is replaced, with `replace` any plain file is.
+    """Context manager: yield a path to write a file or folder at; it is renamed to `path` at the end.
+
+    If the block raises, `path` stays as it was. The mark of `product` is added to the output, and `path` is
+    replaced only if it has the same mark. Without a product nothing is replaced; with `replace` any plain
+    file is. `inputs` are files that the same command reads. Raises StoreError if `path` must not be replaced,
+    is an input, or cannot be written.
     """
     path = Path(path)
     with writing(path):
@@ -191,7 +203,7 @@ def atomic(
 
 @contextmanager
 def _draft_folder(path: Path) -> Iterator[Path]:
-    """Make a locked folder for a draft next to a path, and first remove those of killed writers."""
+    """Yield a new, locked folder next to a path for its draft; first remove folders of killed writers."""
     remove_leftovers(path)
     folder = path.with_name(f"{_DRAFT}{uuid.uuid4().hex}")  # named before a signal can come between
     try:
@@ -216,14 +228,14 @@ def _remove(folder: Path) -> None:
 
 
 def _put_back(folder: Path, path: Path) -> None:
-    """Give a replaced folder its name back if the new one did not come."""
+    """Move the old output at `folder`/old back to `path` if nothing has taken its place."""
     with suppress(OSError):
         if (folder / "old").is_dir() and not os.path.lexists(path):
             (folder / "old").rename(path)
 
 
 def remove_leftovers(path: Path) -> None:
-    """Remove drafts that killed writers left next to a path; a folder they had moved gets its name back."""
+    """Remove the drafts that killed writers left next to a path, and restore a folder that they had moved."""
     with suppress(OSError):
         for entry in list(os.scandir(path.parent)):
             if not entry.name.startswith(_DRAFT):
@@ -238,7 +250,7 @@ def remove_leftovers(path: Path) -> None:
 
 
 def make_durable(paths: Iterable[Path]) -> None:
-    """Wait until files and folders are on the disk (fsync); those that do not exist are passed over."""
+    """Wait until files and folders are on the disk (fsync); missing or unreadable ones are skipped."""
     for path in paths:
         try:
             number = os.open(path, os.O_RDONLY)
@@ -254,7 +266,7 @@ def make_durable(paths: Iterable[Path]) -> None:
 
 
 def write_text(path: str | Path, text: str, product: Product | None = None, *, replace: bool = False) -> None:
-    """Write a text file (UTF-8), completely or not at all; parameters of `atomic`."""
+    """Write a text file (UTF-8), completely or not at all; other arguments and errors as for `atomic`."""
     with atomic(path, product, replace=replace) as draft:
         draft.write_text(text, encoding="utf-8")
 
@@ -262,7 +274,7 @@ def write_text(path: str | Path, text: str, product: Product | None = None, *, r
 def check_writable(
     path: str | Path, product: Product | None = None, *, inputs: Iterable[object] = ()
 ) -> None:
-    """Check that a file or folder can be written before work on it begins."""
+    """Raise StoreError if `atomic` could not write `path` with the same arguments; make its parent folder."""
     path = Path(path)
     with writing(path):
         refuse_input(path, *inputs)
@@ -274,7 +286,7 @@ def check_writable(
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn an `OSError` while writing to a path into a `StoreError` with a remedy."""
+    """Context manager: turn an OSError while writing to a path into a StoreError with a remedy."""
     try:
         yield
     except OSError as error:
@@ -282,7 +294,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def write_error(path: Path, error: OSError) -> StoreError:
-    """The error to raise for a failed write, with a sentence for the user."""
+    """Return the StoreError to raise for an OSError while writing; its message tells the remedy."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return StoreError(
             f"the disk that holds {path} is full, or a quota is used up; nothing that was written is lost: "

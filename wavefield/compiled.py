@@ -20,8 +20,11 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
-    """Compile a function of plain arrays at its first call, keep the result on disk, run it without the lock.
-    Every process compiles it where it cannot be kept; any number of them may do so at once.
+    """Decorator: compile a loop over plain arrays with numba, and keep the result on disk.
+
+    It is compiled when it is decorated for each numba type in `signature`, else at its first call. `options`
+    are those of `numba.njit`. It runs without the GIL. Processes may compile at the same time; each does so
+    for itself if the disk cannot be written.
     """
     njit: Any = numba.njit  # its own types take the options one by one
 
@@ -46,7 +49,8 @@ def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
 
 class _CompiledFiles:
     """Keeps each compiled form of a loop in a file of its own, in place of numba's numbered files and index.
-    Its name follows from sources, types and processor: processes need no lock. Damaged files are not used.
+    The file is named by a hash of sources, types and processor, so processes need no lock. Damaged files are
+    not used.
     """
 
     def __init__(self, folder: Path, base: str, loop: Callable[..., object]) -> None:
@@ -54,7 +58,7 @@ class _CompiledFiles:
         self._sources = _digest_of_sources(Path(loop.__code__.co_filename).parent)
 
     def save(self, key: object, data: object) -> None:
-        """Keep compiled code; where there is no room for it, the next process compiles again."""
+        """Write compiled code (`data`) for numba's `key`, its types and processor; a full disk is ignored."""
         content = serialize.dumps((self._identity(key), data))
         path = self._path(key)
         new = path.with_name(f"{path.name}.tmp.{uuid.uuid4().hex[:16]}")
@@ -70,7 +74,7 @@ class _CompiledFiles:
                     old.unlink()
 
     def load(self, key: object) -> Any:
-        """Read compiled code; None where there is none that can be used."""
+        """Return the compiled code of numba's `key`; None if its file is absent or damaged."""
         try:
             stored = self._path(key).read_bytes()
         except OSError:
@@ -82,7 +86,7 @@ class _CompiledFiles:
         return data if identity == self._identity(key) else None
 
     def flush(self) -> None:
-        """Remove what is kept of this loop."""
+        """Remove all files of this loop."""
         for path in self._folder.glob(f"{self._base}.*"):
             path.unlink(missing_ok=True)
 
@@ -96,7 +100,7 @@ class _CompiledFiles:
 
 @functools.cache
 def _digest_of_sources(folder: Path) -> str:
-    """Of all sources with loops in a folder: the compiled form of one contains those that it calls."""
+    """Return the digest of all sources with compiled loops in a folder, as loops contain those they call."""
     digest = hashlib.sha256()
     for path in sorted(folder.glob("*.py")):
         source = path.read_bytes()
@@ -106,7 +110,7 @@ def _digest_of_sources(folder: Path) -> str:
 
 
 def clear_compiled() -> int:
-    """Remove the compiled code that processes of this program have kept on this machine."""
+    """Remove the compiled code that wavefield has kept on this machine; return the number of files."""
     locators: list[Any] = [caching.InTreeCacheLocator, caching.UserWideCacheLocator]
     config: Any = numba.config
     if config.CACHE_DIR:

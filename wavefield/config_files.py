@@ -46,7 +46,7 @@ MAX_NAME_BYTES = 255  # of a file or folder, on Linux, macOS and Windows
 
 
 def safe_name(name: str) -> str:
-    """A name that can be part of a path on any system, and stays in its folder; ValueError if it cannot."""
+    """Return `name`; ValueError if it cannot be the name of a file on Linux, macOS and Windows."""
     odd = _NOT_IN_NAMES.search(name) or _RESERVED_NAMES.fullmatch(name)
     if odd or not name.strip() or name != name.strip() or name.strip(".") == "" or len(name) > _MAX_NAME:
         raise ValueError(f"{name[:40]!r} cannot be part of a file's name; use letters, digits, - and _")
@@ -54,7 +54,7 @@ def safe_name(name: str) -> str:
 
 
 def portable_path(path: str) -> str:
-    """A path as it is read on any system: with / between folders, and names that file systems allow."""
+    """Return `path`; ValueError if it has \\ between folders (except on Windows) or a name over 255 bytes."""
     if "://" in path:  # an address, which may contain a password
         return path
     if any(len(part.encode()) > MAX_NAME_BYTES for part in path.split("/")):
@@ -69,13 +69,15 @@ PathText = Annotated[str, AfterValidator(portable_path)]
 
 
 class ConfigSection(BaseModel):
-    """A block of settings: refuses unknown keys, and numbers that are not finite."""
+    """Base of the blocks of a settings file: unknown keys and numbers that are not finite are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
 
 
 def load(kind: type[T], path: Path, data: Mapping[str, object] | None = None) -> T:
-    """Read and check a YAML file."""
+    """Return the YAML file `path` as a checked section of type `kind`; ExperimentError with line and remedy.
+    `data` is the content of the file if the caller has read it.
+    """
     return make(kind, read_yaml(path) if data is None else data, path=path)
 
 
@@ -88,7 +90,11 @@ def make(
     name: str = "",
     error: type[WavefieldError] = ExperimentError,
 ) -> T:
-    """Make a section from plain data."""
+    """Return plain data as a checked section of type `kind`; raise `error` with up to four problems.
+
+    For the messages: `path` is the file that the data come from, `location` the keys in it that lead to the
+    data, `name` what to call them without a file.
+    """
     try:
         made = TypeAdapter(kind).validate_python(dict(data))
     except WavefieldError as found:  # a section's own sentence
@@ -113,7 +119,7 @@ def make(
 
 
 def _joined(messages: Sequence[tuple[str, str]]) -> str:
-    """Places and words of problems as one message: each place and each list of known keys once."""
+    """Join problems (place, words) into one message that repeats no place and no list of known keys."""
     by_place: dict[str, list[str]] = {}
     listed: set[str] = set()
     for where, words in messages[:_MAX_MESSAGES]:
@@ -129,7 +135,7 @@ def _joined(messages: Sequence[tuple[str, str]]) -> str:
 def _booleans_as_numbers(
     data: object, made: object, place: tuple[Key, ...] = ()
 ) -> Iterator[tuple[Key, ...]]:
-    """Places of true and false that were taken for 1 and 0."""
+    """Yield the keys that lead to each true or false in `data` that is a number in the section `made`."""
     if isinstance(data, bool):
         if isinstance(made, int | float) and not isinstance(made, bool):
             yield place
@@ -148,7 +154,7 @@ def _booleans_as_numbers(
 class _Loader(yaml.SafeLoader):
     """Reads numbers as people write them: 1:30 is text, not 90, a date is text, and 010 is ten.
 
-    Aliases (`*name`) are refused: nobody needs them here, and a few lines of them can stand for billions.
+    Aliases (`*name`) are errors: nobody needs them here, and a few lines of them can stand for billions.
     """
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
@@ -182,7 +188,9 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Content of a YAML file that holds a mapping."""
+    """Return the content of a YAML file that holds a mapping.
+    ExperimentError if the file cannot be read, is not a mapping, or has a key twice or a broken path.
+    """
     node = _compose(path)
     if not isinstance(node, yaml.MappingNode):
         raise ExperimentError(f"{path} is not a list of `key: value` lines; see the example in the README")
@@ -205,6 +213,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def _text(path: Path) -> str:
+    """Return the text of a UTF-8 file; ExperimentError if it cannot be read."""
     try:
         refuse_pipe(path, ExperimentError)
         return path.read_text(encoding="utf-8-sig")
@@ -227,6 +236,7 @@ def _is_utf16(data: bytes) -> bool:
 
 
 def _compose(path: Path) -> yaml.Node | None:
+    """Return the YAML nodes of a file, which have line numbers; ExperimentError if it is not YAML."""
     text = _text(path)
     try:
         return yaml.compose(text, Loader=_Loader)
@@ -237,6 +247,7 @@ def _compose(path: Path) -> yaml.Node | None:
 
 
 def _not_yaml(path: Path, error: Exception) -> ExperimentError:
+    """Return the error to raise if PyYAML cannot read a file."""
     mark = getattr(error, "problem_mark", None)
     where = f", line {mark.line + 1}" if mark else ""
     problem = getattr(error, "problem", None) or "not YAML"
@@ -250,21 +261,21 @@ def _not_yaml(path: Path, error: Exception) -> ExperimentError:
 
 
 def _parts(node: yaml.Node) -> list[yaml.Node]:
-    """Keys and values of a mapping, or items of a list."""
+    """Return the keys and values of a mapping, or the items of a list, as nodes."""
     if isinstance(node, yaml.MappingNode):
         return [part for pair in node.value for part in pair]
     return list(node.value) if isinstance(node, yaml.SequenceNode) else []
 
 
 def _below(node: yaml.Node) -> Iterator[yaml.Node]:
-    """A node and all that it holds."""
+    """Yield a node and all nodes inside it."""
     yield node
     for part in _parts(node):
         yield from _below(part)
 
 
 def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
-    """Keys that a mapping has twice."""
+    """Yield each repeated key of a mapping as a pair: the node where it is first, and the repetition."""
     for mapping in _below(node):
         seen: dict[str, yaml.Node] = {}
         for key, _ in mapping.value if isinstance(mapping, yaml.MappingNode) else ():
@@ -278,13 +289,13 @@ def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
 
 
 def file_and_line(path: Path, location: Sequence[Key]) -> str:
-    """File and line of a value, for a message."""
+    """Return "FILE, line N" for a value; `location` are the keys and indices that lead to the value."""
     line = _line(_compose(path), location)
     return f"{path}, line {line}" if line else str(path)
 
 
 def _line(node: yaml.Node | None, location: Sequence[Key]) -> int | None:
-    """Line (from 1) of the deepest part of a location that the file has."""
+    """Return the line (from 1) of the deepest part of a location that the file has; None if it has none."""
     line = None
     for step in location:
         found = None
@@ -312,7 +323,7 @@ def _sentence(
     location: Sequence[Key],
     name: str,
 ) -> tuple[str, str]:
-    """Where a problem is, and what it is."""
+    """Return place and words of a problem that pydantic found; arguments as for `make`."""
     inner = list(problem["loc"])
     line = _line(node, [*location, *inner])
     where = (f"{path}, line {line}" if line else str(path)) if path else name
@@ -326,7 +337,7 @@ def _sentence(
 
 
 def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool:
-    """Whether it only states that a value is not of another form that it could have."""
+    """Whether a problem only tells that the value is not of one of several allowed forms; `wrong` are all."""
     place = problem["loc"][:-1]
     others = [other for other in wrong if other is not problem and other["loc"][: len(place)] == place]
     if problem["type"] == "literal_error" and isinstance(problem["input"], Mapping):
@@ -336,6 +347,7 @@ def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool
 
 
 def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
+    """Return the words of a problem; `kinds` are the sections that have the key."""
     sort, message = problem["type"], str(problem["msg"])
     if sort in _UNKNOWN:
         known = list(dict.fromkeys(name for member in kinds for name in _fields(member)))
@@ -356,7 +368,7 @@ def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
 
 
 def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any], str | None]:
-    """Follow a location through types: its names as the file has them, the last section, an example."""
+    """Follow a problem's location through types; return its keys in the file, sections, and an example."""
     names: list[Key] = []
     sections = annotations = _members(kind)
     example = None
@@ -379,7 +391,7 @@ def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any]
 
 
 def _is_branch(step: Key, annotations: Sequence[object]) -> bool:
-    # pydantic names the member of a union in locations: "str", "GridSection", "list[...]"
+    """Whether a step of a location is pydantic's name of a type in a union: "str", "GridSection"."""
     if not isinstance(step, str):
         return False
     classes = [getattr(member, "__name__", "") for member in annotations]
@@ -387,7 +399,7 @@ def _is_branch(step: Key, annotations: Sequence[object]) -> bool:
 
 
 def _fields(kind: object) -> dict[str, tuple[Any, str | None]]:
-    """Names of a section's fields, each with its type and an example."""
+    """Return the fields of a section by name, each with its type and an example (or None)."""
     if not isinstance(kind, type):
         return {}
     if issubclass(kind, BaseModel):
@@ -402,7 +414,7 @@ def _fields(kind: object) -> dict[str, tuple[Any, str | None]]:
 
 
 def _inside(annotation: object) -> Sequence[Any]:
-    """Types of the items of a list, or of the values of a mapping."""
+    """Return the types of the items of a list, or of the values of a mapping; empty for other types."""
     origin = typing.get_origin(annotation)
     if isinstance(origin, type) and issubclass(origin, Mapping | list | tuple | set | frozenset):
         arguments = [a for a in typing.get_args(annotation) if a is not Ellipsis]
@@ -411,7 +423,7 @@ def _inside(annotation: object) -> Sequence[Any]:
 
 
 def _members(annotation: object) -> list[Any]:
-    """Types that an annotation allows, unions taken apart."""
+    """Return the types that an annotation allows: the members of a union, else the type itself."""
     origin = typing.get_origin(annotation)
     if origin is typing.Annotated:
         return _members(typing.get_args(annotation)[0])

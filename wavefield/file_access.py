@@ -9,7 +9,7 @@ from wavefield.errors import WavefieldError
 
 
 def refuse_pipe(path: str | Path, error: type[WavefieldError]) -> None:
-    """Refuse a pipe or a device in place of a file: a pipe without a writer blocks its reader for ever."""
+    """Raise `error` if `path` is a pipe or a device: a pipe without a writer blocks its reader for ever."""
     with suppress(OSError, ValueError):  # what is not there is reported by its reader
         mode = os.stat(path).st_mode
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):

@@ -21,7 +21,7 @@ class Grid:
     Raises
     ------
     ValueError
-        If the step is not positive or an axis holds fewer than two nodes.
+        If the step is not positive, an axis has fewer than two nodes, or the grid has more than 20 million.
 
     Examples
     --------
@@ -51,6 +51,7 @@ class Grid:
             )
 
     def _axis(self, ends: tuple[float, float]) -> np.ndarray:
+        """Return the positions of the nodes between two ends, metres."""
         # one multiplication per node and rounding to the nanometre: 0.1 + 0.2 must print as 0.3
         n = int(np.floor((ends[1] - ends[0]) / self.step + 1e-6)) + 1
         return np.round(ends[0] + self.step * np.arange(n), 9)
@@ -72,7 +73,9 @@ class Grid:
 
 
 def largest_rectangle(mask: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Largest rectangle without a hole in a mask (ny, nx): its rows and its columns, (start, stop) each."""
+    """Return the largest rectangle that is true throughout in a mask (ny, nx).
+    The result is its rows (start, stop) and its columns (start, stop).
+    """
     ny, nx = mask.shape
     height = np.zeros(nx, int)
     best, where = 0, ((0, 0), (0, 0))

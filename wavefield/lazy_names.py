@@ -13,7 +13,9 @@ from typing import Any
 def lazy_names(
     package: str, init_file: str
 ) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
-    """Sorted names of the stub (.pyi) next to an `__init__.py`, their `__getattr__` and their `__dir__`."""
+    """Return the public names of a package, and its functions `__getattr__` and `__dir__`.
+    The names are those that the stub (.pyi) next to the package's `init_file` imports; sorted.
+    """
     stub = ast.parse(Path(init_file).with_suffix(".pyi").read_text(encoding="utf-8"))
     places = {
         alias.asname or alias.name: (statement.module or "", alias.name)

@@ -15,8 +15,8 @@ _state: dict[str, Any] = {"depth": 0, "limits": None}
 
 @contextmanager
 def one_thread() -> Generator[None]:
-    """Keep BLAS to one thread while inside, in the whole process; also a decorator.
-    The first thread that enters sets the limit, the last that leaves takes it back.
+    """Context manager or decorator: linear algebra (BLAS) uses one thread in the whole process.
+    The first thread that enters sets the limit, and the last that leaves restores the old one.
     """
     with _lock:
         if not _state["depth"]:
@@ -35,7 +35,7 @@ def one_thread() -> Generator[None]:
 
 
 def _take_control() -> None:
-    """Let this thread set limits: from version 3.8 on threadpoolctl ignores all threads but the first."""
+    """Let this thread set limits: threadpoolctl 3.8 and later obeys only the first thread that set one."""
     openblas: Any = getattr(threadpoolctl, "OpenBLASController", None)
     if clear := getattr(openblas, "clear_controlling_thread", None):
         clear(force=True)

@@ -9,7 +9,9 @@ Samples = float | NDArray[Any]
 
 
 def parabola_vertex(before: Samples, middle: Samples, after: Samples) -> NDArray[Any]:
-    """Offset of the maximum of the parabola through three neighbours from the middle one; 0 if it has none.
+    """Return where the parabola through three equidistant samples has its maximum; 0 if it has none.
+
+    The result is the distance from the middle sample towards `after`, in sample intervals, elementwise.
 
     Examples
     --------

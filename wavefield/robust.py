@@ -9,7 +9,9 @@ PER_MEDIAN = 1.4826  # standard deviation of a normal distribution over its medi
 
 
 def robust_std(values: NDArray[np.floating]) -> float:
-    """Standard deviation that a few blunders do not move: 1.4826 times the median of absolute values.
+    """Return 1.4826 times the median absolute value: a standard deviation about 0 that ignores blunders.
+
+    It is 0 if `values` is empty.
 
     Examples
     --------
@@ -26,7 +28,11 @@ def reweighted_lstsq(
     reweight: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     iterations: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solution and residuals of least squares with weights (n,) that follow from the last fit's residuals."""
+    """Fit `design` (n, p) @ solution = `values` (n, ...) by repeated weighted least squares.
+
+    The first fit multiplies the equations by `weight` (n,), each further one by ``reweight(residual)``.
+    Returns the solution (p, ...) and the unweighted residuals (n, ...) of the last of `iterations` fits.
+    """
     for _ in range(iterations):
         rows = weight.reshape(-1, *[1] * (values.ndim - 1))
         solution = np.asarray(np.linalg.lstsq(design * weight[:, None], values * rows, rcond=None)[0])

@@ -2,7 +2,7 @@
 
 
 def evenly_spaced(count: int, number: int) -> list[int]:
-    """At most ``number`` of ``count`` indices: the middles of equal parts of a record.
+    """Return at most ``number`` of the indices 0 to ``count`` - 1: the middles of equal parts of a record.
 
     Examples
     --------
@@ -13,7 +13,7 @@ def evenly_spaced(count: int, number: int) -> list[int]:
 
 
 def from_first_to_last(count: int, number: int) -> list[int]:
-    """At most ``number`` of ``count`` indices, evenly spaced, the first and the last among them.
+    """Return at most ``number`` of the indices 0 to ``count`` - 1, evenly spaced, from first to last.
 
     Examples
     --------

@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def spell_time(seconds: float) -> str:
-    """Spell a duration for people: 8 s, 3 min 05 s, 2 h 10 min."""
+    """Return a duration in words for people: 8 s, 3 min 05 s, 2 h 10 min."""
     if 0 < seconds < 0.95:
         return f"{seconds:.1g} s"
     whole = round(seconds)
@@ -19,7 +19,7 @@ def spell_time(seconds: float) -> str:
 
 
 def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
-    """Spell numbers as ranges.
+    """Return sorted numbers as text, runs of them as ranges; at most `most` ranges are listed.
 
     Examples
     --------
@@ -37,7 +37,9 @@ def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
 
 
 def spell_uncertain(value: float, std: float, unit: str) -> str:
-    """Spell a value and its standard uncertainty, to two digits of the latter.
+    """Return a value and its standard uncertainty as text, rounded to two digits of the uncertainty.
+
+    If the uncertainty is not finite, the text is the value alone.
 
     Examples
     --------
@@ -51,17 +53,17 @@ def spell_uncertain(value: float, std: float, unit: str) -> str:
 
 
 def short_path(path: Path) -> Path:
-    """A path as it is printed: from the current folder where it lies in it, else in full."""
+    """Return a path relative to the current folder if the file is in it, else unchanged."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def one_line(error: object) -> str:
-    """The words of an exception, of a library perhaps, in one line."""
+    """Return the message of an exception in one line: line breaks and runs of spaces become one space."""
     return " ".join(str(error).split())
 
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A small table as notebooks show it.
+    """Return a table with a title as HTML, for notebooks; cells are escaped, an empty `head` is left out.
 
     Examples
     --------
@@ -78,7 +80,7 @@ def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]
 
 
 def full_stop(words: str) -> str:
-    """Words with a full stop, unless they end with a mark.
+    """Return words with a full stop at the end, unless they end with ".", "?" or "!".
 
     Examples
     --------

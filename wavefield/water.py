@@ -18,13 +18,16 @@ WATER = ("water_depth", "surface_tension_over_density")  # attributes of a cube 
 
 
 def tension_over_density(surface_tension: float | None = None, density: float | None = None) -> float:
-    """Surface tension over density, m3 s-2, of clean water at 20 C where they are not given."""
+    """Return surface tension (N/m) over density (kg/m3), m3 s-2; clean water at 20 C replaces None."""
     tension = SURFACE_TENSION if surface_tension is None else surface_tension
     return float(tension) / float(density or DENSITY)
 
 
 def water_of(attributes: Mapping[str, str | float], depth: float | None = None) -> tuple[float, float]:
-    """Depth and surface tension over density, from a cube's attributes.
+    """Return the water's depth, m, and surface tension over density, m3/s2, from a cube's attributes.
+
+    `depth` replaces the depth in the attributes; the depth is infinite if neither gives one. The tension is
+    that of clean water if the attributes have none.
 
     Examples
     --------
@@ -39,7 +42,7 @@ def water_of(attributes: Mapping[str, str | float], depth: float | None = None) 
 
 
 def stated_water(attributes: Mapping[str, Any]) -> dict[str, float]:
-    """Depth and surface tension over density that attributes state, as numbers; deep water has none.
+    """Return the attributes named in `WATER` as numbers, by name; deep water and absent ones are left out.
 
     Examples
     --------
@@ -51,6 +54,7 @@ def stated_water(attributes: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _depth(depth: float) -> float:
+    """Return the depth; CubeError if it is not positive."""
     if not depth > 0:
         raise CubeError(f"the depth of the water is {depth} m: give a positive number, or inf")
     return depth
@@ -139,9 +143,9 @@ def wavenumber(omega: ArrayLike, depth: float = np.inf, gamma: float = GAMMA) ->
     Parameters
     ----------
     omega : array_like
-        Angular frequency, rad/s.
+        Angular frequency, rad/s, 0 or more.
     depth : float
-        Depth, m.
+        Depth, m; infinite for deep water.
     gamma : float
         Surface tension over density, m3/s2.
 

@@ -36,10 +36,10 @@ if TYPE_CHECKING:  # a second to import
 
 log = logging.getLogger("wavefield.run")
 
-Work = Callable[[Any], Any]
-Results = Generator[tuple[Any, Any], None, None]
+Work = Callable[[Any], Any]  # from an item, such as a chunk, to its result
+Results = Generator[tuple[Any, Any], None, None]  # each item with its result, or with the error it raised
 MapUnordered = Callable[[Work, Sequence[Any]], Results]
-Watch = Callable[["Client"], None]
+Watch = Callable[["Client"], None]  # looks at the workers now and then, and may raise an error
 
 _MOST_THREADS = 4  # of a run's own process
 _TASKS_PER_WORKER = 2  # that the scheduler holds: one at work, one ready
@@ -49,7 +49,7 @@ _SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
 
 
 def count_workers(workflow: Workflow) -> int:
-    """Number of workers that a workflow asks for, at most."""
+    """Return the greatest number of workers that a workflow asks for; for ``auto`` this machine's cores."""
     if workflow.cluster == "none":
         return 1
     if workflow.workers == "auto":
@@ -58,12 +58,12 @@ def count_workers(workflow: Workflow) -> int:
 
 
 def threads_here(workflow: Workflow) -> int:
-    """Number of threads of the run's own process while its workers are idle."""
+    """Return the number of threads, at most 4, that the run's own process may use while workers are idle."""
     return min(count_workers(workflow), _cores(), _MOST_THREADS)
 
 
 def _cores() -> int:
-    """Cores of this machine that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -71,8 +71,12 @@ def _cores() -> int:
 def open_cluster(
     workflow: Workflow, logs: Path | None = None, imports: Sequence[str] = ()
 ) -> Iterator[MapUnordered]:
-    """Start workers, and give a function that maps work over items on them; they end with the context.
-    Workers of this machine import the modules named while the caller prepares their work.
+    """Context manager: start the workers of a workflow; they end with the block.
+
+    Yields a function of (work, items), which yields each item with its result or exception as they are done.
+    `logs` is the folder for the output of Slurm jobs. `imports` are modules that
+    workers of this machine import at their start. Raises ExperimentError or StoreError, with the remedy, if
+    workers or the scheduler do not start or are lost.
     """
     if workflow.cluster == "none" or (workflow.cluster == "local" and count_workers(workflow) == 1):
         yield _map_here
@@ -97,6 +101,7 @@ def open_cluster(
 def _connect(
     workflow: Workflow, logs: Path, imports: Sequence[str], stack: ExitStack
 ) -> tuple["Client", Watch]:
+    """Return a client of the workflow's scheduler, and a watch over its workers; `stack` closes them."""
     from distributed import Client
 
     if workflow.cluster == "address":
@@ -125,7 +130,7 @@ def _connect(
 
 
 def _local_cluster(workflow: Workflow, imports: Sequence[str]) -> Any:
-    """A cluster on this machine, without workers so far."""
+    """Return a Dask cluster on this machine that has no workers yet; `imports` are modules they import."""
     from distributed import LocalCluster
     from distributed.utils import get_mp_context
 
@@ -148,7 +153,7 @@ def _local_cluster(workflow: Workflow, imports: Sequence[str]) -> Any:
 
 
 def _end_workers(cluster: Any) -> None:
-    """End the workers of this machine at once; Dask would wait seconds for chunks that nobody waits for."""
+    """End the workers of a local cluster at once; Dask would first wait for chunks that nobody needs."""
     for nanny in cluster.workers.values():
         nanny.auto_restart = False
         with suppress(OSError, TypeError):  # it has no process now
@@ -156,7 +161,7 @@ def _end_workers(cluster: Any) -> None:
 
 
 class _LocalWorkers:
-    """Ends a run that has had no workers for long: on an overloaded machine Dask may give up their start."""
+    """Raises StoreError after 300 s without workers: on a busy machine Dask may give up their start."""
 
     def __init__(self) -> None:
         self._seen = time.monotonic()
@@ -172,7 +177,7 @@ class _LocalWorkers:
 
 
 class _WithoutWorkers:
-    """Reports, once, that a scheduler has no workers."""
+    """Warns, once, if the scheduler of a workflow with `address` has no workers."""
 
     reported = False
 
@@ -189,6 +194,7 @@ class _WithoutWorkers:
 
 
 def _map_here(work: Work, items: Sequence[Any]) -> Results:
+    """Yield each item with its result or exception; the work is done in this process, in order."""
     with one_opencv_thread():
         for item in items:
             try:
@@ -199,7 +205,9 @@ def _map_here(work: Work, items: Sequence[Any]) -> Results:
 
 
 def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Sequence[Any]) -> Results:
-    """Map work over items; the scheduler holds no more than a few for each worker."""
+    """Yield each item with its result or exception, as Dask's workers finish; StoreError without a scheduler.
+    At most two items for each of `workers` are submitted at a time.
+    """
     from distributed import CancelledError, wait
 
     packed, mark = pickle.dumps(work), uuid.uuid4().hex
@@ -231,7 +239,7 @@ def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Seq
 
 
 def _result(task: Any) -> Any:
-    """Result of a task that has ended, or its error."""
+    """Return the result of a task that has ended, or its exception in plain words."""
     from distributed import CancelledError
 
     try:
@@ -243,7 +251,9 @@ def _result(task: Any) -> Any:
 
 
 def _do(packed: bytes, versions: str, item: Any) -> Any:
-    """Do work that another process sent; that process and this worker must run the same version."""
+    """Return the result of pickled work for an item, on a worker.
+    ExperimentError if the process that sent it runs other `versions` than this one.
+    """
     if own_versions() != versions:
         raise ExperimentError(
             f"the workers run {own_versions()} ({sys.executable}), but the run {versions}: start both from "
@@ -258,17 +268,20 @@ def _do(packed: bytes, versions: str, item: Any) -> Any:
 
 @functools.lru_cache(maxsize=1)
 def _unpacked(packed: bytes) -> Work:
+    """Return the work from its pickle; the last one is kept."""
     work: Work = pickle.loads(packed)
     return work
 
 
 def own_versions() -> str:
-    """Versions of Python (major and minor) and wavefield of this process."""
+    """Return the versions of Python (major and minor) and wavefield of this process, as text."""
     return f"Python {sys.version_info[0]}.{sys.version_info[1]}, wavefield {wavefield.__version__}"
 
 
 def _as_sentence(error: BaseException) -> BaseException:
-    """Dask's error for a task that never ran, as a sentence."""
+    """Replace Dask's error for killed workers or an unloadable wavefield by one that tells what to do.
+    Any other error is returned unchanged.
+    """
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):

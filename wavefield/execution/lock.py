@@ -18,12 +18,14 @@ from wavefield.errors import StoreError
 class Lock:
     """The right to write a store; made by `hold`."""
 
-    store: Path
+    store: Path  # The store that may be written
 
     @classmethod
     @contextmanager
     def hold(cls, store: Path) -> Iterator["Lock"]:
-        """Hold the lock of a store, or refuse at once."""
+        """Context manager: hold the lock of a store, and remove it at the end.
+        StoreError at once if another run holds the lock, or if its file is not a lock of wavefield.
+        """
         path = store.with_name(f".{store.name}.lock")
         lock = FileLock(path, timeout=0)
         with writing(store):

@@ -60,7 +60,7 @@ _OUT_OF_MEMORY = -4  # of OpenCV's errors
 
 @contextmanager
 def one_opencv_thread() -> Iterator[None]:
-    """Keep OpenCV to one thread for a while: steps are measured side by side."""
+    """Context manager: OpenCV uses one thread, because steps are measured side by side."""
     import cv2
 
     before = cv2.getNumThreads()
@@ -72,7 +72,7 @@ def one_opencv_thread() -> Iterator[None]:
 
 
 def keep_memory() -> None:
-    """Let glibc keep freed arrays for the next ones, as in workers; it cannot be undone."""
+    """Let the C library (glibc) reuse the memory of freed arrays; no effect elsewhere, cannot be undone."""
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):  # another C library, another system
@@ -83,7 +83,7 @@ def keep_memory() -> None:
 
 @functools.cache
 def set_up_worker() -> None:
-    """Configure this worker process (safe to call twice)."""
+    """Configure this worker process: one OpenCV thread, memory, and locks; a second call does nothing."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -93,14 +93,14 @@ def set_up_worker() -> None:
 
 
 def dask_setup(worker: Any) -> None:
-    """Set up a worker before its first task; Dask calls it, as this module is preloaded."""
+    """Set up a worker before its first task; Dask calls this function of the preloaded module."""
     set_up_worker()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # or it would finish its chunk after the run has ended
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run, which ends its workers
 
 
 def peak_memory() -> int:
-    """Most memory that this process has used so far, bytes."""
+    """Return the most memory that this process has used so far, bytes; 0 on Windows."""
     try:
         import resource
     except ImportError:
@@ -110,7 +110,7 @@ def peak_memory() -> int:
 
 
 def memory_error(error: Exception) -> StoreError | None:
-    """A sentence for an allocation that failed; None for another error."""
+    """Return a StoreError with a remedy if `error` means that memory ran out, else None."""
     if not isinstance(error, MemoryError) and getattr(error, "code", None) != _OUT_OF_MEMORY:
         return None
     detail = f" ({error})" if str(error) else ""
@@ -124,16 +124,16 @@ def memory_error(error: Exception) -> StoreError | None:
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal other than Ctrl-C, or the time limit."""
+    """Raised in place of KeyboardInterrupt if another signal or the time limit stops a run; names which."""
 
 
 def stopped_by(stop: KeyboardInterrupt) -> str:
-    """First words of the message printed when a run is stopped."""
+    """Return the first words of the message when a run is stopped: "stopped", or "stopped by SIGTERM"."""
     return f"stopped by {stop}" if isinstance(stop, Stopped) else "stopped"
 
 
 def _numbers(*names: str) -> list[int]:
-    """Numbers of those of the named signals that this system has."""
+    """Return the numbers of the named signals; signals that this system lacks are left out."""
     return [getattr(signal, name) for name in names if hasattr(signal, name)]
 
 
@@ -143,7 +143,9 @@ def _in_main_thread() -> bool:
 
 @contextmanager
 def stop_signals(time_limit: float | None = None) -> Iterator[None]:
-    """Let SIGTERM, SIGHUP, SIGUSR1 (Slurm's warning) and a time limit stop a run as Ctrl-C does."""
+    """Context manager: SIGTERM, SIGHUP, SIGUSR1 (Slurm's warning) and `time_limit`, s, raise Stopped.
+    Signals that the process ignores stay ignored; without effect outside the main thread.
+    """
     if not _in_main_thread():
         yield
         return
@@ -169,7 +171,7 @@ def stop_signals(time_limit: float | None = None) -> Iterator[None]:
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Put off the signals that stop a run until a call is over; a second one acts at once.
+    """Context manager: delay the signals that stop a run until the block ends; a second signal acts at once.
     Interrupted early, distributed prints a traceback of another thread, and an import may lose Ctrl-C.
     """
     if not _in_main_thread():
@@ -202,7 +204,9 @@ def deferred_signals() -> Iterator[None]:
 
 @contextmanager
 def children_ignore_ctrl_c() -> Iterator[None]:
-    """Block Ctrl-C and Slurm's warning in processes that are started here, which the run itself ends."""
+    """Context manager: child processes start with SIGINT and SIGUSR1 blocked; the run ends them itself.
+    SIGUSR1 is Slurm's warning before a job's end.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -12,24 +12,27 @@ log = logging.getLogger("wavefield.run")
 
 
 def _is_log(path: Path) -> bool:
+    """Whether a file is empty or begins as a log of wavefield does."""
     with path.open("rb") as stream:
         line = stream.readline(200)
     return not line or re.match(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ ", line) is not None
 
 
 def log_path(store: Path) -> Path:
-    """The log of a store's runs."""
+    """Return the path of the log of a store's runs: cube.log for cube.zarr."""
     return store.with_suffix(".log")
 
 
 def jobs_folder(store: Path) -> Path:
-    """Folder for the output of the jobs of a store's runs on a cluster."""
+    """Return the absolute path of the folder for a store's Slurm output: cube.jobs for cube.zarr."""
     return store.absolute().with_suffix(".jobs")
 
 
 @contextmanager
 def log_file(store: Path) -> Iterator[None]:
-    """Write the messages of a run to a file next to its store."""
+    """Context manager: append the messages of a run to the log next to its store.
+    StoreError if another file has the name of the log, or if the log cannot be written.
+    """
     with writing(store):
         store.parent.mkdir(parents=True, exist_ok=True)
         path = log_path(store)

@@ -24,7 +24,11 @@ _MAX_LINE = 300  # characters of a log in a message
 
 
 def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
-    """A `dask_jobqueue.SLURMCluster` that asks for its jobs; ``job_script()`` shows what it submits."""
+    """Start a `dask_jobqueue.SLURMCluster`, which submits the jobs of a workflow to Slurm.
+
+    `logs` is the folder for their output. ``job_script()`` of the result shows the script. ExperimentError if
+    the workflow has unknown keywords, the folder cannot be written, or this is not the main thread.
+    """
     _import_jobqueue()
     from dask_jobqueue import SLURMCluster
     from dask_jobqueue.core import Job as JobBase
@@ -88,7 +92,7 @@ def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
 
 
 def _import_jobqueue() -> None:
-    """Import dask-jobqueue and keep our handler of Ctrl-C, which its import replaces."""
+    """Import dask-jobqueue and restore our handler of Ctrl-C; ExperimentError outside the main thread."""
     try:
         interrupt = signal.getsignal(signal.SIGINT)
         import dask_jobqueue  # noqa: F401
@@ -100,7 +104,7 @@ def _import_jobqueue() -> None:
 
 
 def _keywords(workflow: Workflow, logs: Path) -> dict[str, Any]:
-    """Keywords of SLURMCluster: ours, then the workflow's."""
+    """Return the keywords for SLURMCluster: our own, replaced or extended by those of the workflow."""
     given = dict(workflow.slurm)
     cores = int(given.get("cores", 1))
     environment = WORKER_ENVIRONMENT | {
@@ -132,12 +136,12 @@ def _keywords(workflow: Workflow, logs: Path) -> dict[str, Any]:
 
 
 def _processes(workflow: Workflow) -> int:
-    """Workers per job."""
+    """Return the number of workers in each job."""
     return int(workflow.slurm.get("processes", workflow.slurm.get("cores", 1)))
 
 
 def count_jobs(workflow: Workflow) -> tuple[int, int]:
-    """Least and greatest number of Slurm jobs that give the workers asked for."""
+    """Return the least and greatest number of Slurm jobs for the workers of a workflow; 1, 1 for ``auto``."""
     workers, processes = workflow.workers, _processes(workflow)
     if workers == "auto":
         return 1, 1
@@ -146,7 +150,7 @@ def count_jobs(workflow: Workflow) -> tuple[int, int]:
 
 
 class QueueWatch:
-    """Reports why jobs wait, and ends a run without workers whose jobs were refused or have ended.
+    """Warns why jobs wait in the queue; raises ExperimentError if Slurm rejects the jobs or all have ended.
     dask-jobqueue does neither: a run with a mistyped partition would wait for ever.
     """
 
@@ -157,7 +161,7 @@ class QueueWatch:
         self._gone = 0  # checks in a row that found no job queued or running
 
     def __call__(self, client: Any) -> None:
-        """Check the jobs while there is no worker, unless that was a moment ago."""
+        """Check the jobs while there are no workers, at most every 10 s; `client` is that of the cluster."""
         now = time.monotonic()
         if now - self._checked_at < _POLL_SECONDS:
             return
@@ -189,7 +193,7 @@ class QueueWatch:
 
 
 def _refusal(text: str) -> str:
-    """Why sbatch refuses a job."""
+    """Return why sbatch rejects a job, in words; `text` is the message of dask-jobqueue's error."""
     found = re.findall(r"sbatch: error: (.*)", text)
     if found:
         reason = "; ".join(dict.fromkeys(line.strip() for line in found))
@@ -201,7 +205,9 @@ def _refusal(text: str) -> str:
 
 
 def queue_of(user: str) -> dict[str, tuple[str, str]] | None:
-    """State and reason of all jobs of a user that Slurm lists, by number; None if it does not answer."""
+    """Return (state, reason) of each job of a user in Slurm's queue, by job number; None if squeue fails.
+    Jobs that are completing are left out.
+    """
     command = ["squeue", "--noheader", f"--user={user}", "--format=%A|%T|%r"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
@@ -212,7 +218,9 @@ def queue_of(user: str) -> dict[str, tuple[str, str]] | None:
 
 
 def why_ended(numbers: Sequence[str], logs: Path) -> str:
-    """Why jobs ended before their workers started, from the last line of a log."""
+    """Return a message on jobs that ended before their workers started, with the last line of a log.
+    `numbers` are the job numbers, `logs` is the folder of their output.
+    """
     head = f"Slurm job {numbers[-1]} ended before its worker started; "
     for number in numbers:
         for path in sorted(logs.glob(f"*-{number}*")):

@@ -12,7 +12,7 @@ _LEAST_MEMORY = 500_000_000  # bytes of a worker: with its libraries alone it ha
 
 
 class Between(ConfigSection):
-    """Least and greatest number of workers; more than the least are requested while chunks wait."""
+    """Range of the number of workers: the minimum is requested at once, more while chunks wait."""
 
     minimum: int = Field(ge=1, examples=["2"], description="workers requested at once")
     maximum: int = Field(ge=1, examples=["40"], description="upper limit, requested while work is waiting")
@@ -25,7 +25,7 @@ class Between(ConfigSection):
 
 
 class Workflow(ConfigSection):
-    """A workflow file: where the work is done, its resources, and settings that differ.
+    """A workflow file: where a run is done, with which resources, and settings that replace the experiment's.
 
     Examples
     --------
@@ -109,7 +109,7 @@ class Workflow(ConfigSection):
         Parameters
         ----------
         path : path
-            YAML.
+            The YAML file.
 
         Raises
         ------
@@ -122,12 +122,12 @@ class Workflow(ConfigSection):
 
     @property
     def path(self) -> Path | None:
-        """The file this workflow was read from, if it was."""
+        """The file that this workflow was read from; None if it was not read from a file."""
         return self._path
 
     @property
     def memory_bytes(self) -> int | None:
-        """Memory limit per worker, bytes."""
+        """Memory limit per worker, bytes; None without a limit."""
         if not self.memory:
             return None
         from dask.utils import parse_bytes
@@ -136,7 +136,7 @@ class Workflow(ConfigSection):
 
     @property
     def time_limit_seconds(self) -> float | None:
-        """Time after which the run stops itself, s."""
+        """Time after which the run stops itself, s; None without a limit."""
         return parse_duration(self.time_limit) if self.time_limit else None
 
 
@@ -144,7 +144,7 @@ _UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 
 def parse_duration(text: str) -> float:
-    """Seconds of a duration as people and Slurm write it.
+    """Return a duration in seconds, from text as people or Slurm write it; ValueError if it is no duration.
 
     Examples
     --------
