@@ -27,13 +27,16 @@ _HOW = (
 
 
 def mask_outlines(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
-    """Return the outlines, each (n, 2) columns and rows in px, of the masked parts of an image."""
+    """Return the outlines of the True parts of an image (row, column), each (n, 2): column and row in px."""
     found, _ = cv2.findContours(covered.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     return [np.asarray(outline[:, 0], np.int32) for outline in found if len(outline) > 2]
 
 
 class MaskPanel:
-    """Collects clicked corners of masks, and shows the lines to add to the experiment file."""
+    """Collects the corners of masks that the user clicks, and shows the lines to add to the experiment file.
+
+    `changed` is called after every change of the corners.
+    """
 
     def __init__(self, changed: Callable[[], None]) -> None:
         self._changed = changed
@@ -47,19 +50,19 @@ class MaskPanel:
         self.layout = column(self.words, buttons, sizing_mode="stretch_width")
 
     def show(self, place: Place) -> None:
-        """Do nothing: masks do not depend on the state of the page."""
+        """Do nothing; panels need this method, but masks do not depend on the state of the page."""
 
     def add(self, image: str, corner: Corner) -> None:
-        """Add a corner: px in the image of a camera, or metres on the water."""
+        """Add a corner of the mask `image`: px in the image of that camera, or metres for `WATER`."""
         if np.isfinite(corner).all():
             self._keep([*self._corners, (image, corner)])
 
     def polygon(self, image: str) -> list[Corner]:
-        """Return the corners in the image of a camera (px) or, for `WATER`, on the water (metres)."""
+        """Return the clicked corners in the image of a camera (px) or, for `WATER`, on the water (metres)."""
         return [corner for name, corner in self._corners if name == image]
 
     def closed_line(self, image: str) -> dict[str, list[float]]:
-        """Return these corners as columns x and y of a closed line."""
+        """Return the corners of `polygon` as columns x and y; the first corner is repeated at the end."""
         corners = self.polygon(image)
         line = [*corners, *corners[:1]]
         return {"x": [float(x) for x, _ in line], "y": [float(y) for _, y in line]}
@@ -75,7 +78,9 @@ class MaskPanel:
 
 
 def mask_lines(polygons: dict[str, list[Corner]]) -> str:
-    """Return the entry `mask` of an experiment file for polygons by camera (px) or on the water (m).
+    """Return the entry `mask` of an experiment file as YAML.
+
+    `polygons` are the corners by camera (px), or by "water" (metres).
 
     Examples
     --------
@@ -105,7 +110,7 @@ made.y_range.setv({start: height + dy, end: -dy, reset_start: height + dy, reset
 
 
 def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
-    """Return a frame (row, column) averaged over n x n pixels to fit a screen, in 8 bits, and n.
+    """Return an image (row, column) as 8 bits, averaged over n x n pixels to fit on a screen, and n.
 
     Grey levels are stretched from the 0.5 % to the 99.5 % quantile of the brightness.
     """
@@ -119,14 +124,14 @@ def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
 
 
 def keep_pixels_square(made: figure) -> None:
-    """Let the browser keep pixels square when the figure or the image of `fit_image` changes its size."""
+    """Let the browser keep pixels square when the figure changes its size or `fit_image` gets a new shape."""
     square = CustomJS(args={"made": made}, code=_SQUARE)
     for changed in ("inner_width", "inner_height", "tags"):
         made.js_on_change(changed, square)
 
 
 def fit_image(made: figure, shape: tuple[int, ...]) -> None:
-    """Fit the axes to an image of this shape (rows, columns) if it differs from that of the last image."""
+    """Fit the axes to an image of this shape (rows, columns), unless the figure already shows that shape."""
     height, width = shape
     if made.tags != [width, height]:
         made.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
@@ -135,7 +140,10 @@ def fit_image(made: figure, shape: tuple[int, ...]) -> None:
 
 
 def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
-    """Show a frame on axes in the camera's pixels; return n of the n x n pixels that are averaged."""
+    """Show an image (row, column) on axes in px of the camera.
+
+    The image is averaged over n x n pixels to fit on a screen, and goes into `source`. Returns n.
+    """
     fit_image(made, image.shape)
     small, factor = shrink(image)
     h, w = small.shape
@@ -147,10 +155,11 @@ def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
 def visible_nodes(
     camera: Camera, x: NDArray[np.floating], y: NDArray[np.floating], fields: Fields, dt: float
 ) -> Fields:
-    """Return the n nodes of a step that a camera sees in its first frame.
+    """Return the n nodes of a step that a camera sees in the first frame of the step.
 
-    `fields` are z, u, v, w and quality (ny, nx) at x, y (ny, nx). Returns x, y (metres), the column X and
-    row Y (px) of the water that passes the node at mid-time, and the kind of quality, each (n,).
+    `fields` are z, u, v, w and quality, (ny, nx), at x, y (ny, nx), metres; `dt` is the time step, s. Returns
+    arrays (n,) by name: x and y (metres), the column X and row Y (px) where the camera sees the water that is
+    at the node half a step later, and `kind`, the index into `KINDS`.
     """
     z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
     half = [np.where(np.isfinite(fields[n]), 0.5 * dt * fields[n], 0.0) for n in _MOTION]
@@ -163,7 +172,7 @@ def visible_nodes(
 
 
 class CameraPanel:
-    """The frame of one camera, with the nodes in it."""
+    """The tab with the image of one camera and the nodes of the grid drawn on it."""
 
     def __init__(self, session: LookSession, events: parts.PanelEvents) -> None:
         self._session, self._picked, self._took_corner = session, events.picked, events.took_corner
@@ -214,7 +223,7 @@ class CameraPanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Show the image of the chosen camera at the step of the page."""
+        """Show the image of the camera that the user chose, at the step of the page."""
         name = parts.chosen(self.camera)
         if not name:
             return

@@ -27,7 +27,7 @@ _VARIABLES = ("z", "w", "u", "v", "z_t", "eps_y", "eps_piv", "z_std")
 
 
 def lights_table(lights: tuple[StatusLight, ...]) -> str:
-    """Return lights as an HTML table: rows are quantities, columns cameras; pairs and rig follow below."""
+    """Return status lights as HTML: a table of quantities by cameras, then lights of pairs and of the rig."""
     of_cameras = [light for light in lights if light.camera and "-" not in light.camera]
     cameras = list(dict.fromkeys(light.camera for light in of_cameras))
     cells = {(light.name, light.camera): light for light in of_cameras}
@@ -38,7 +38,7 @@ def lights_table(lights: tuple[StatusLight, ...]) -> str:
 
 
 class CameraView:
-    """The figure of the newest image of one camera."""
+    """The figure with the newest image of the camera `name`."""
 
     def __init__(self, name: str) -> None:
         self.source = parts.make_sources(name, image=parts.IMAGE)["image"]
@@ -51,12 +51,15 @@ class CameraView:
         self.figure.image("image", source=self.source, color_mapper=parts.grey_mapper())
 
     def show(self, image: NDArray[Any]) -> None:
-        """Show an image (row, column)."""
+        """Show an image (row, column) of the camera."""
         show_frame(self.figure, self.source, image)
 
 
 class FollowPage:
-    """The page of a recording experiment in one browser tab."""
+    """The page of an experiment that is being recorded, in one browser tab.
+
+    `probes` are marked on the map.
+    """
 
     def __init__(self, follower: Follower, probes: xr.Dataset | None = None) -> None:
         self._follower = follower
@@ -95,7 +98,7 @@ class FollowPage:
         return made
 
     def attach(self, document: Document) -> None:
-        """Put the page into a document."""
+        """Add the page to a Bokeh document."""
         views = [view.figure for view in self.cameras.values()]
         camera_row = row(*views, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
         roots = {
@@ -184,12 +187,15 @@ class FollowPage:
 
 
 def _large(heading: str, colour: str, words: str) -> str:
-    """Return HTML: a heading in a colour, followed by words that are HTML already."""
+    """Return HTML: `heading` in a large font and a colour, then `words`, which must already be HTML."""
     return f"<b style='font-size: 19px; color: {colour}'>{plain(heading)}</b> &nbsp; {words}"
 
 
 def follow_server(follower: Follower, port: int | None = None) -> PageServer:
-    """Return a server of the page of a recording experiment, as `make_server` does."""
+    """Return a server of the pages of an experiment that is being recorded.
+
+    `port` is by default the first free one of `DEFAULT_PORTS`. Raises WavefieldError if no port is free.
+    """
     probes = None
     with suppress(WavefieldError):  # the page only marks them on the map
         if follower.experiment.probes:

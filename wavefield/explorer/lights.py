@@ -27,25 +27,28 @@ _ORDER = ("arrival", "synchronisation", "brightness", "saturation", "seeding", "
 
 @dataclass(frozen=True)
 class LightLimits:
-    """Limits beyond which a light is doubtful and bad."""
+    """Limits of the status lights: a quantity beyond the first is doubtful, beyond the second bad.
+
+    Where the second limit is the smaller one, small values are bad.
+    """
 
     saturated: Limits = (0.01, 0.05)  # fraction of pixels
     cells: Limits = (0.6, 0.3)  # fraction of cells with beads
-    bead_size: Limits = (2.5, np.inf)  # standard deviation, px
-    silence: Limits = (2.0, 5.0)  # time without a new frame, less a few frame intervals, s
-    delay: Limits = (0.5, 1.0)  # behind the other cameras, s
+    bead_size: Limits = (2.5, np.inf)  # standard deviation of the images of beads, px
+    silence: Limits = (2.0, 5.0)  # time without a new frame, minus `INTERVALS` frame intervals, s
+    delay: Limits = (0.5, 1.0)  # time by which frames come after those of the other cameras, s
     eps_y: Limits = (0.5, 1.0)  # epipolar error, px
     matched: Limits = (0.5, 0.2)  # fraction of the visible blocks that match
     eps_piv: Limits = (0.3, 0.6)  # misfit of displacements, px
-    coverage: Limits = (0.6, 0.3)  # fraction of measured nodes
-    range_used: Limits = (0.8, 0.95)  # largest elevation, as a fraction of the searched range
+    coverage: Limits = (0.6, 0.3)  # fraction of the grid's nodes that were measured
+    range_used: Limits = (0.8, 0.95)  # highest waves, as a fraction of the searched range of z
 
 
 @dataclass(frozen=True)
 class RelativeLimits:
-    """Limits of the ratio to the first steps, beyond which a light is doubtful and bad."""
+    """Limits of quantities divided by their medians over the first steps: first doubtful, then bad."""
 
-    brightness: float = 0.5  # of beads and of background; below it a lamp is off
+    brightness: float = 0.5  # bad if the light of beads and of background are both below it: a lamp is off
     cells: Limits = (0.7, 0.4)
     bead_size: Limits = (1.2, 1.4)
     matched: Limits = (0.8, 0.6)
@@ -80,7 +83,7 @@ class FrameFeatures:
 
 
 def frame_features(image: Image) -> FrameFeatures:
-    """Return brightness, seeding and focus of a frame (row, column)."""
+    """Return the brightness, seeding and focus of an image (row, column)."""
     sample = image[::3, ::3]
     dark, background, peak = (float(v) for v in np.percentile(sample, [0.1, 50.0, 99.9]))
     brightest = float(image.max())
@@ -99,23 +102,27 @@ def frame_features(image: Image) -> FrameFeatures:
 
 @dataclass(frozen=True)
 class StepSummary:
-    """Misfit, coverage and height of one measured step."""
+    """Misfit, fraction of measured nodes, and height of the waves in one step."""
 
-    eps_piv: float  # misfit of the cameras' displacements, rms, px
-    coverage: float  # fraction of measured nodes
-    range_used: float  # largest elevation as a fraction of the searched range
+    eps_piv: float  # rms difference of displacements between cameras, px
+    coverage: float  # fraction of the grid's nodes that were measured, not filled
+    range_used: float  # 99.5 % quantile of |z - middle of the searched range| over half that range
 
 
 @dataclass(frozen=True)
 class PairSummary:
-    """Consistency of a pair of cameras at one instant."""
+    """How well the images of two cameras agree at one instant."""
 
     eps_y: float  # epipolar error, rms, px
     matched: float  # fraction of the visible blocks that match
 
 
 def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, float]) -> StepSummary:
-    """Return the summary of a measured step from its fields (ny, nx) and the searched range of z, metres."""
+    """Return the summary of a measured step.
+
+    `fields` are z (m), eps_piv (px) and quality, (ny, nx), by name; `z_range` is the searched range of z, m.
+    If no node has a value, eps_piv and range_used are NaN.
+    """
     z = np.asarray(fields["z"], float)
     valid = np.isfinite(z)
     if not valid.any():
@@ -133,19 +140,19 @@ def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, flo
 
 @dataclass
 class Baseline:
-    """Medians of the first steps, which relative limits refer to."""
+    """Medians of summaries over the first steps, which wavefield compares later steps with."""
 
     n_steps: int = 4
     _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)
 
     def add(self, name: str, values: object) -> None:
-        """Add the summary (a dataclass of numbers) of a camera or pair, until `n_steps` are collected."""
+        """Add the summary `values`, a dataclass of numbers, of a camera or pair; only `n_steps` are kept."""
         first = self._first.setdefault((type(values), name), [])
         if len(first) < self.n_steps:
             first.append(values)
 
     def medians(self, kind: type[T], name: str = "") -> T | None:
-        """Return the medians of a kind of summary for a camera or pair; None until `n_steps` are there."""
+        """Return the medians of a camera's or pair's summaries of class `kind`; None before `n_steps`."""
         first = self._first.get((kind, name), [])
         if len(first) < self.n_steps:
             return None
@@ -156,7 +163,7 @@ class Baseline:
 def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -> list[StatusLight]:
     """Return the lights of brightness, saturation, seeding and focus of one camera.
 
-    `first` are the medians of its first steps, if there are any yet.
+    `now` are the features of its newest frame, `first` their medians over the first steps, None until known.
     """
     words = f"beads at {now.peak:.0f}, background {now.background:.0f}"
     dark = False
@@ -187,9 +194,10 @@ def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -
 
 
 def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> StatusLight:
-    """Return the light of a pair, bad if the epipolar error is large or blocks do not match.
+    """Return the light of a pair of cameras; it is bad after one of them was moved.
 
-    Both happen after a camera was moved.
+    Then the epipolar error is large or few blocks match. `first` are the medians over the first steps, None
+    until they are known.
     """
     state = _worse(_state(now.eps_y, LIMITS.eps_y), _state(now.matched, LIMITS.matched))
     if first is not None:
@@ -201,10 +209,10 @@ def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> Status
 def arrival_lights(
     silent: Mapping[str, float], written: Mapping[str, float], newest: Mapping[str, int], frame_rate: float
 ) -> list[StatusLight]:
-    """Return two lights per camera: whether frames still arrive, and whether they lag behind other cameras.
+    """Return two lights per camera: whether frames still arrive, and whether they come later than elsewhere.
 
-    `silent` is the time since its newest frame was noticed, s; `written` the time at which that frame was
-    written, s since the epoch; `newest` its number; `frame_rate` in Hz.
+    The mappings are by camera. `silent` is the time since its newest frame was noticed, s. `written` is the
+    time at which that frame was written, s since the epoch. `newest` is its number. `frame_rate` is in Hz.
     """
     out = []
     for camera, since in silent.items():
@@ -223,7 +231,10 @@ def arrival_lights(
 
 
 def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight]:
-    """Return the lights of misfit, coverage and range of z of a measured step."""
+    """Return the lights of misfit, fraction of measured nodes, and range of z for a measured step.
+
+    `first` are the medians of the first steps, None until they are known.
+    """
     coverage = _state(now.coverage, LIMITS.coverage)
     if first is not None:
         coverage = _worse(coverage, _state(_ratio(now.coverage, first.coverage), RELATIVE.coverage))
@@ -236,18 +247,18 @@ def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight
 
 
 def red_lights(lights: Sequence[StatusLight]) -> list[StatusLight]:
-    """Return the bad lights, causes before their consequences."""
+    """Return the lights whose state is bad, causes before their consequences."""
     bad = [light for light in lights if light.state == "bad"]
     return sorted(bad, key=lambda light: _ORDER.index(light.name))
 
 
 def _ratio(value: float, reference: float) -> float:
-    """Return the ratio to a reference; 1 if the reference is zero."""
+    """Return `value` over `reference`; 1 if the reference is zero."""
     return value / reference if abs(reference) > 1e-9 else 1.0
 
 
 def _state(value: float, limits: Limits) -> State:
-    """Return the state of a value that must stay below its limits, or above them if they decrease."""
+    """Return the state of a value by limits (doubtful, bad); small values are bad if these decrease."""
     doubtful, bad = limits
     if bad < doubtful:
         value, doubtful, bad = -value, -doubtful, -bad

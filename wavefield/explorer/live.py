@@ -40,11 +40,11 @@ Masks = Mapping[str, NDArray[np.bool_]]
 
 @dataclass(frozen=True)
 class FrameSet:
-    """The two newest frames of every camera that still records."""
+    """Two successive frames of every camera that still records."""
 
-    number: int  # of the first frame
+    number: int  # number of the first frame
     images: dict[str, tuple[NDArray[Any], NDArray[Any]]]  # both frames, by camera
-    written: float  # when the last of them was written, s since the epoch
+    written: float  # when the last of all frames was written, s since the epoch
 
 
 class FolderWatch:
@@ -60,7 +60,7 @@ class FolderWatch:
         self._frames: dict[str, dict[int, FrameEntry]] = {}
 
     def poll(self) -> None:
-        """List the folders and note the newest frame of each camera."""
+        """List the image folders and note the newest frame of each camera; errors go to `trouble`."""
         self._polled = time.monotonic()
         for name, section in self.experiment.cameras.items():
             try:
@@ -77,11 +77,18 @@ class FolderWatch:
                 self._noticed[name] = self._polled
 
     def silent(self) -> dict[str, float]:
-        """Return the time from the discovery of the newest frame of each camera to the last poll, s."""
+        """Return, by camera, how long its newest frame had been known at the last `poll`, s.
+
+        For a camera without frames the time counts from the start of the watch.
+        """
         return {name: self._polled - when for name, when in self._noticed.items()}
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
-        """Return the newest two frames after a number; None if the recording cameras have none in common."""
+        """Return the newest two successive frames that all recording cameras have, or None without any.
+
+        The number of the first must be above `after`. A camera far behind the others does not count as
+        recording.
+        """
         latest = max(self.written.values(), default=0.0)
         longest = lights.LIMITS.delay[1]  # a camera further behind the others counts as stopped
         sending = [name for name, when in self.written.items() if latest - when <= longest]
@@ -113,7 +120,7 @@ def _written(entry: FrameEntry) -> float:
 
 
 class LiveMeasurement:
-    """Measures single steps as they arrive, as soon as the experiment has a rig."""
+    """Measures single steps of an experiment that is being recorded, as soon as it has a rig."""
 
     def __init__(self, experiment: Experiment, rig: Rig | Path | None) -> None:
         self._experiment, self._rig = experiment, rig
@@ -126,9 +133,9 @@ class LiveMeasurement:
         self.trouble = ""  # why nothing is measured
 
     def measure(self, frames: FrameSet) -> tuple[Fields, StepSummary | None]:
-        """Return the fields (ny, nx) of a step by name, and their summary.
+        """Return the fields (ny, nx) of a step by name, and the summary of the step.
 
-        Without a rig, or after an error, they are empty and None, and `trouble` holds the reason.
+        Returns ({}, None) without a rig or after an error; `trouble` then holds the reason.
         """
         firsts = {name: both[0] for name, both in frames.images.items()}
         sizes = {name: (image.shape[1], image.shape[0]) for name, image in firsts.items()}
@@ -156,7 +163,7 @@ class LiveMeasurement:
         return fields, lights.summarize_step(fields, geometry.z_range)
 
     def pairs(self, frames: FrameSet) -> dict[str, PairSummary]:
-        """Return the consistency of each pair of cameras at the second frame; empty without a rig."""
+        """Return how well cameras agree at the second frame, by pair such as "a-b"; empty without a rig."""
         if self.learner is None:
             return {}
         geometry = self.learner.geometry
@@ -176,12 +183,12 @@ class LiveMeasurement:
         return out
 
     def _bare(self, name: str, image: NDArray[Any]) -> NDArray[Any]:
-        """Return an image of a camera with its background subtracted, as in a run."""
+        """Return an image (row, column) of a camera minus its background image, as in a run."""
         background = self._backgrounds.get(name)
         return image if background is None else subtracted(image, background)
 
     def _prepare(self, images: Mapping[str, NDArray[Any]]) -> None:
-        """Load the rig and compute geometry and masks for images of these sizes; errors go to `trouble`."""
+        """Load the rig and compute geometry and masks; `images` are by camera; errors go to `trouble`."""
         from wavefield.execution.workflow import Workflow
         from wavefield.pipeline.prepare import make_settings
 
@@ -211,7 +218,7 @@ class LiveMeasurement:
 
 
 class Learner:
-    """Keeps a wave and noise model of the newest frames; `model` is None before the first ones."""
+    """Keeps a model of waves and noise, estimated from the newest frames; `model` is None at first."""
 
     def __init__(self, geometry: GridGeometry, frame_rate: float) -> None:
         self.geometry, self._frame_rate = geometry, frame_rate
@@ -220,9 +227,9 @@ class Learner:
         self._next_s = 0.0
 
     def add(self, frames: tuple[Frames, Frames], masks: tuple[Masks, Masks]) -> None:
-        """Add both frames of a step and estimate the model again, unless it was estimated recently.
+        """Add the two frames of a step and their masks, by camera, and estimate the model again.
 
-        An estimate delays the measurement of the step.
+        An estimate delays the measurement of the step, so it is left out if the last one was recent.
         """
         self._steps.append((frames, masks))
         begun = time.monotonic()
@@ -241,20 +248,20 @@ class Learner:
 
 @dataclass(frozen=True)
 class FollowedSet:
-    """The newest frames, the fields measured from them, and the lights."""
+    """The newest frames of a recording, the fields measured from them, and the status lights."""
 
-    number: int  # of the first frame
+    number: int  # number of the first frame
     images: Mapping[str, NDArray[Any]]  # the second frame, by camera
     fields: Fields  # (ny, nx): the measured step; empty without a rig
     lights: tuple[StatusLight, ...]
-    delay: float  # from the last byte of the frames until they were measured, s
-    measured: int  # steps so far
-    skipped: int  # steps so far
-    trouble: str  # why nothing is measured, a sentence
+    delay: float  # time from the last frame's file to this result, s
+    measured: int  # pairs of frames handled so far, also without a rig
+    skipped: int  # pairs of frames left out so far, because others were being handled
+    trouble: str  # a sentence on why nothing is measured; empty otherwise
 
 
 class Follower:
-    """Watches, measures and rates an experiment in its own thread; pages read `latest`."""
+    """Watches, measures and rates an experiment in its own thread; pages read the result `latest`."""
 
     def __init__(self, experiment: Experiment, rig: Rig | Path | None = None) -> None:
         self.experiment = experiment
@@ -270,18 +277,18 @@ class Follower:
 
     @property
     def nodes(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Positions of the nodes along x (nx,) and y (ny,), metres; empty without a rig."""
+        """Positions of the nodes along x (nx,) and y (ny,), metres; both empty until a rig is there."""
         learner = self._measurer.learner
         if learner is None:
             return np.empty(0), np.empty(0)
         return learner.geometry.grid.x_nodes, learner.geometry.grid.y_nodes
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start to watch, in a thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop after the step that is being measured."""
+        """Stop the thread after the step that is being measured; wait 20 s at most."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(20)
@@ -301,7 +308,7 @@ class Follower:
                 self._stop.wait(POLL_S)
 
     def poll(self) -> bool:
-        """List the folders once and measure the newest frames; return whether there were new ones."""
+        """List the folders once and measure the newest frames; return whether there were new frames."""
         self.watch.poll()
         frames = self.watch.newest_set(after=self.latest.number if self.latest else -1)
         if frames is not None:

@@ -31,15 +31,15 @@ _HEAD = 0.32  # length of an arrow's head over that of the arrow
 
 
 def map_aspect(ratio: float) -> float:
-    """Return width over height of a map figure, axes and colour bar included, for a field of this ratio.
+    """Return the width over the height of a map figure with its axes and colour bar.
 
-    The field fills the figure if that is 900 px wide.
+    `ratio` is the width over the height of the field. In a figure 900 px wide the field fills the axes.
     """
     return float(np.clip(ratio * 900 / (768 + 60 * ratio), 0.8, 3.0))
 
 
 def top_speed(u: Field, v: Field) -> float:
-    """Return the 98 % quantile of the speed of a velocity field, m/s; 0 if nothing was measured."""
+    """Return the 98 % quantile of horizontal speed, m/s, from u, v (ny, nx); 0 if nothing was measured."""
     speed = np.hypot(u, v)
     return limit(speed, 98) if np.isfinite(speed).any() else 0.0
 
@@ -47,7 +47,7 @@ def top_speed(u: Field, v: Field) -> float:
 def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Field, Field, float]:
     """Return n velocity arrows as lines x, y (7 n,), metres, and their scale, metres of arrow per m/s.
 
-    u, v (ny, nx) are in m/s, at nodes x (nx,) and y (ny,). An arrow of the speed `fastest`, m/s, is a little
+    u, v (ny, nx) are in m/s, at nodes x (nx,) and y (ny,). An arrow for the speed `fastest`, m/s, is a little
     longer than the distance between arrows. Each arrow has six points, and a NaN separates it from the next.
     """
     every = max(1, round(max(len(x), len(y)) / MARKS_ACROSS))
@@ -67,7 +67,7 @@ def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Fiel
 
 
 class MapPanel:
-    """The map of one variable; `picked` is called with x and y, metres, at each click."""
+    """The map of one variable; `picked` is called with x and y, metres, when the user clicks on it."""
 
     def __init__(self, record: CubeRecord, picked: Callable[[float, float], None]) -> None:
         self._record = record
@@ -114,7 +114,7 @@ class MapPanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Draw the variable and step of a page state."""
+        """Draw the variable and step that the state of the page names, with its arrows and picked node."""
         record, shown = self._record, display(place.show)
         values = record.field(place.show, place.step)
         if place.show == "quality":
@@ -139,7 +139,10 @@ class MapPanel:
         self.mark(place.node)
 
     def _name_values(self, place: Place, code: str) -> bool:
-        """Set the tooltip of the map, whose value a script formats; return whether it has changed."""
+        """Set the map's tooltip to the variable shown; `code` is the JavaScript that formats its value.
+
+        Returns whether the tooltip changed.
+        """
         shown = display(place.show)
         rows = [(shown.name, f"@image{{custom}} {shown.unit}"), _WHERE]
         changed = bool(self.hover.tooltips != rows)
@@ -149,7 +152,11 @@ class MapPanel:
         return changed
 
     def limits(self, place: Place) -> tuple[float, float]:
-        """Return the ends of the colour scale in the displayed unit: entered, or fitted to the first step."""
+        """Return the ends of the colour scale in the displayed unit: those that the user entered, if any.
+
+        Otherwise they are fitted to the step of this variable that was shown first; (-1, 1) until a step has
+        values.
+        """
         name = place.coloured
         if name not in self._fitted:
             values = self._record.field(name, place.step)
@@ -160,7 +167,7 @@ class MapPanel:
         return place.limits or self._fitted[name]
 
     def refit(self, place: Place) -> None:
-        """Forget the fitted scales of colours and arrows: the next step that is shown sets them."""
+        """Forget the fitted scales of colours and arrows; the step that is shown next sets them again."""
         self._fitted.pop(place.coloured, None)
         self._fastest = 0.0
 
@@ -178,7 +185,7 @@ class MapPanel:
         self.sources["arrows"].data = {"x": xs, "y": ys}
 
     def mark(self, node: tuple[float, float] | None) -> None:
-        """Draw the picked node."""
+        """Draw a ring at the picked node (x, y), metres; None removes it."""
         data = {"x": [node[0]], "y": [node[1]]} if node else {"x": [], "y": []}
         if dict(self.sources["node"].data) != data:  # the browser repaints every source that it receives
             self.sources["node"].data = data

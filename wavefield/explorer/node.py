@@ -28,14 +28,14 @@ class Spectrum(NamedTuple):
 
     frequency: Array  # (n,): Hz; without 0
     density: Array  # (n,): unit of the values squared per Hz; sum times frequency step is the variance
-    low: float  # the true density is in [low, high] times the density with 95 % confidence
+    low: float  # the true density is between low and high times `density` with 95 % confidence
     high: float
 
 
 def longest_run(values: Array) -> Array:
-    """Return the longest part of a series (n,) without a gap of more than two steps.
+    """Return the longest part of a series (n,) without a gap of more than two steps; empty without values.
 
-    Shorter gaps are interpolated, as in `wavefield analyze`.
+    Gaps of one or two steps in it are interpolated linearly, as in `wavefield analyze`.
     """
     from wavefield.waves.record import LONGEST_BRIDGE  # takes a second to import
 
@@ -49,10 +49,10 @@ def longest_run(values: Array) -> Array:
 
 
 def spectrum(values: Array, dt: float, segment_s: float | None = None) -> Spectrum | None:
-    """Return the Welch spectrum of the `longest_run` of a series (n,), or None below 32 steps.
+    """Return the Welch spectrum of the `longest_run` of a series (n,), or None if that is below 32 steps.
 
-    Hann windows overlap by half. Their length is `segment_s`, s, by default such that there are eight or
-    more. `dt` is the time step, s.
+    `dt` is the time step, s. Hann windows overlap by half. They last `segment_s`, s; by default a power of
+    two of steps, from 32 to 1024, that gives at least eight windows if the run is long enough.
     """
     from scipy import signal  # takes most of a second to import
 
@@ -73,19 +73,19 @@ def spectrum(values: Array, dt: float, segment_s: float | None = None) -> Spectr
 
 
 class NearProbe(NamedTuple):
-    """A wave probe near a node."""
+    """A wave probe, and its distance from a node."""
 
-    probe: "xr.Dataset"  # elevation (time,), metres
-    distance: float  # metres
+    probe: "xr.Dataset"  # elevation (time,), metres, of one probe
+    distance: float  # distance from the node, metres
 
     @property
     def words(self) -> str:
-        """Its name and distance."""
+        """Name and distance of the probe, such as "probe1, 3 cm away"."""
         return f"{self.probe.probe.item()}, {100 * self.distance:.0f} cm away"
 
 
 def nearest_probe(probes: "xr.Dataset | None", x: float, y: float, reach: float) -> NearProbe | None:
-    """Return the probe nearest to a point, or None if it is farther away than `reach` (all in metres)."""
+    """Return the probe nearest to a point x, y; None if it is farther away than `reach` (all in metres)."""
     if probes is None:
         return None
     distance = np.nan_to_num(np.hypot(probes.probe_x.values - x, probes.probe_y.values - y), nan=np.inf)
@@ -94,7 +94,7 @@ def nearest_probe(probes: "xr.Dataset | None", x: float, y: float, reach: float)
 
 
 class NodePanel:
-    """Series, quality and spectrum of the cube at the node that was picked."""
+    """The tab with series, quality and spectrum at the node that the user picked."""
 
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
@@ -169,7 +169,7 @@ class NodePanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Show values, series and spectrum at the node of the page."""
+        """Show values, series, quality and spectrum at the picked node of the page."""
         self.show_step(place)
         if self._node is not None:
             self._show_series()
@@ -177,7 +177,7 @@ class NodePanel:
             self._show_spectrum()
 
     def show_step(self, place: Place) -> None:
-        """Show the values at the node at the step of the page; the series stay as they are."""
+        """Show the values at the picked node at the step of the page; the series stay as they are."""
         record, self._node = self._record, place.node
         self.now.location = float(record.time[place.step])
         if self._node is None:
@@ -197,21 +197,21 @@ class NodePanel:
         )
 
     def _index(self, y: Array, x: Array) -> tuple[int, int]:
-        """Return row and column of the picked node on axes y and x."""
+        """Return the row and column of the node nearest to the picked one, on axes y (ny,) and x (nx,)."""
         assert self._node is not None
         return nearest(y, self._node[1]), nearest(x, self._node[0])
 
     def _near(self) -> NearProbe | None:
-        """Return the probe near the picked node of the cube itself, not of the coarser preview."""
+        """Return the wave probe near the picked node of the cube (not of its thinned copy), or None."""
         record = self._record
         j, i = self._index(record.y, record.x)
         spacing = abs(float(record.x[-1] - record.x[0])) / max(record.x.size - 1, 1)
         return nearest_probe(self.probes, record.x[i], record.y[j], max(MAX_PROBE_DISTANCE_M, spacing))
 
     def _series(self, name: str, unit_of: str = "") -> Array:
-        """Return a variable at the nearest node of the preview, (time,), in the displayed unit of `unit_of`.
+        """Return a variable, (time,), at the node of the thinned cube that is nearest to the picked node.
 
-        That is by default the unit of the variable itself.
+        It is in the displayed unit of the variable `unit_of`, by default its own.
         """
         preview, factor = self._record.preview, display(unit_of or name).factor
         return preview.series(name, *self._index(preview.y, preview.x)) * np.float32(factor)
@@ -229,7 +229,7 @@ class NodePanel:
         self._show_probe()
 
     def _show_probe(self) -> None:
-        """Draw the elevation of the probe over that of the node; clear it without a probe."""
+        """Draw the elevation of the near probe over that of the node; draw nothing if no probe is near."""
         data: dict[str, Array] = {"t": np.empty(0), "value": np.empty(0)}
         found = self._near()
         if found is not None:
@@ -283,7 +283,7 @@ class NodePanel:
             self._show_probe_spectrum(near, float(1 / found.frequency[0]))
 
     def _show_probe_spectrum(self, near: NearProbe, segment_s: float) -> None:
-        """Show the spectrum of a probe during the cube, with segments of the same length in seconds."""
+        """Draw the spectrum of the probe's elevation during the cube, with segments of `segment_s`, s."""
         time, t = self._record.time, near.probe.time.values
         within = (t >= time[0]) & (t <= time[-1])
         values = near.probe.elevation.values[within] * display("z").factor
@@ -296,7 +296,7 @@ class NodePanel:
 
 
 def _reading(name: str, values: dict[str, float]) -> str:
-    """Return the value of a variable as text, with its uncertainty if there is one."""
+    """Return a variable as text in its displayed unit, with its uncertainty `name_std` if `values` has it."""
     shown, value, std = display(name), values[name], values.get(f"{name}_std", np.nan)
     if not np.isfinite(value):
         return f"{name} none"

@@ -65,7 +65,7 @@ _WRAP = {"flex-wrap": "wrap"}
 
 
 class LookPage:
-    """The page of a cube in one browser tab, in the state `place`."""
+    """The page of a cube in one browser tab, which opens in the state `place`."""
 
     def __init__(self, session: LookSession, place: Place) -> None:
         self.session, self.place = session, place
@@ -151,7 +151,7 @@ class LookPage:
         self.picked.on_change("active", lambda a, o, new: self._soon(self._show_picked))
 
     def attach(self, document: Document) -> None:
-        """Put the page into a document."""
+        """Add the page to a Bokeh document."""
         self._document = document
         roots = self.top, self.options, self.views, self.picked
         for root in (self.head, *roots):
@@ -168,7 +168,7 @@ class LookPage:
             document.on_event(DocumentReady, lambda event: self._ready())
 
     def _ready(self) -> None:
-        """Show the picked node first, then probes, masks and verdict, which take a second to import."""
+        """Show the picked node first, then probes, masks and verdict, because their imports take a second."""
         self._soon(self._show_picked)
 
         def read() -> None:
@@ -180,7 +180,7 @@ class LookPage:
         threading.Thread(target=read, daemon=True, name="context").start()
 
     def _show_context(self) -> None:
-        """Show the probes, masks and verdict of the cube; an error in one of them becomes a sentence."""
+        """Show the probes, masks and verdict of the cube; an error in one of them is shown as a sentence."""
         run = self.session.run
         try:
             if run.probes is not None:
@@ -195,7 +195,7 @@ class LookPage:
         self._soon(self._show_picked)
 
     def _show_probes(self, probes: "xr.Dataset") -> None:
-        """Draw the probes on the map, and give them to the node panel for comparison."""
+        """Draw the probes (probe, time) on the map, and give them to the node panel for comparison."""
         record = self.session.record
         names, x, y = probes.probe.values.astype(str), probes.probe_x.values, probes.probe_y.values
         self.node.probes = probes
@@ -209,14 +209,17 @@ class LookPage:
     # -- actions of the reader -------------------------------------------------------------------------
 
     def change(self, **changed: Any) -> None:
-        """Change what the page shows (step, variable, tab, ...) and redraw it."""
+        """Change fields of the page's state, by name (step, show, tab, ...), and redraw the page."""
         place = replace(self.place, **changed)
         if place != self.place:
             self.place = place
             self._soon(self._show_view if list(changed) == ["tab"] else self.redraw)
 
     def entered(self, name: str) -> str | int:
-        """Return the value of a list or of the slider, limited to valid ones: a browser can send anything."""
+        """Return what the user entered in the list or slider `name`; an invalid value becomes a valid one.
+
+        The browser is not trusted: it can send anything.
+        """
         widget = self.controls[name]
         if isinstance(widget, Select):
             return parts.chosen(widget)
@@ -229,14 +232,14 @@ class LookPage:
         self.change(**changed)
 
     def _clicked(self, x: float, y: float) -> None:
-        """Take a click on the map as a corner of a mask or as the choice of a node."""
+        """Take a click on the map at x, y, metres, as a corner of a mask, or else pick the node there."""
         from wavefield.series.masks import WATER
 
         if not self._take_corner(WATER, x, y):
             self.pick(x, y)
 
     def pick(self, x: float, y: float) -> None:
-        """Show the node nearest to (x, y), metres, which was picked on the map or in an image."""
+        """Show the node nearest to x, y, metres, which the user picked on the map or in an image."""
         self.place = replace(self.place, node=(x, y))
         self.picked.active = PICKED.index("node")
         self.map.mark(self.place.node)
@@ -249,7 +252,10 @@ class LookPage:
             self.picked.active = PICKED.index("mask")
 
     def _take_corner(self, image: str, x: float, y: float) -> bool:
-        """Add a click to the mask if masks are being drawn; return whether it was added."""
+        """Add a click at x, y to the mask if the user is drawing masks; return whether it was added.
+
+        `image` is the camera (x, y in px) or `WATER` (metres).
+        """
         if self.entered("drag") != "mask":
             return False
         self._open_masks()
@@ -276,7 +282,7 @@ class LookPage:
     # -- drawing ---------------------------------------------------------------------------------------
 
     def _soon(self, draw: Callable[[], None]) -> None:
-        """Schedule a drawing for the next tick, once however often it is asked for until then."""
+        """Schedule a call of `draw` for the next tick of the server, once however often it is requested."""
         name = draw.__name__
         if self._document is None or name in self._scheduled:
             return
@@ -289,7 +295,7 @@ class LookPage:
         self._document.add_next_tick_callback(run)
 
     def _guarded(self, draw: Callable[[], None]) -> None:
-        """Draw, and show an error as a sentence instead of ending the page."""
+        """Call `draw`; show a WavefieldError as a sentence on the page."""
         try:
             draw()
         except WavefieldError as error:
@@ -297,7 +303,7 @@ class LookPage:
             self._show_head()
 
     def redraw(self) -> None:
-        """Draw everything in the present state."""
+        """Draw map, open tabs and controls for the present state of the page."""
         step, record = self.place.step, self.session.record
         if self._error:
             self._error = ""
@@ -325,21 +331,21 @@ class LookPage:
         self.map.layout.title.text = f"{what}, t = {record.time[place.step]:.3f} s{status}"
 
     def _show_view(self) -> None:
-        """Draw the open tab of `TABS`, unless it is the map, which is always drawn."""
+        """Draw the tab of `TABS` that is open; the tab of the map is left to `_show_map`."""
         if self.place.tab in self._views:
             self._views[self.place.tab]().show(self.place)
             self._show_corners()
         self.link.text = self.place.query()
 
     def _show_picked(self) -> None:
-        """Draw the open tab of `PICKED`."""
+        """Draw the tab of `PICKED` that is open."""
         kind = PICKED[int(self.picked.active)]
         panel: Panel = self.node if kind == "node" else self.masks()
         panel.show(self.place)
         self.link.text = self.place.query()
 
     def _show_masks(self) -> None:
-        """Draw the corners that were clicked, and the masks of the experiment file."""
+        """Draw the corners that the user clicked, and the masks of the experiment file."""
         from wavefield.series.masks import WATER, footprints
 
         if self.masks.made:
@@ -358,7 +364,7 @@ class LookPage:
     # -- the head --------------------------------------------------------------------------------------
 
     def _show_head(self) -> None:
-        """Show how many steps are measured and how much of the preview is read."""
+        """Show how many steps are measured, how much of the thinned cube is read, and errors."""
         record, preview = self.session.record, self.session.record.preview
         done, steps = record.steps_done, record.layout.steps
         words = f"{steps} steps at {record.frame_rate:g} Hz, {spell_time(steps / record.frame_rate)}"
@@ -372,7 +378,7 @@ class LookPage:
         self.state.text = f"{self._error} {words}".strip()
 
     def _show_verdict(self) -> None:
-        """Show the verdict of the run; a click unfolds its remarks."""
+        """Show the verdict of the run, if there is one; a click on it unfolds its remarks."""
         try:
             found = read_verdict(self.session.record.path)
         except WavefieldError as error:
@@ -390,7 +396,7 @@ class LookPage:
     # -- while the cube is being written ---------------------------------------------------------------
 
     def recheck(self) -> None:
-        """Read the status of the steps again and draw what has changed."""
+        """Read the status of the steps again and draw what has changed; called every two seconds."""
         record = self.session.record
         if record.steps_done < record.layout.steps and record.refresh():
             self.session.load()

@@ -46,15 +46,15 @@ class Place:
     """The state of a page, which its link stores as a query such as show=z&step=12&node=0.1,-0.2."""
 
     show: str = "w"  # variable of the map
-    step: int = 0  # index of the step
+    step: int = 0  # index of the step, from 0
     tab: str = "map"  # one of TABS
-    limits: tuple[float, float] | None = None  # of the colour scale, in the displayed unit; None: fitted
+    limits: tuple[float, float] | None = None  # of the colours, in the displayed unit; None: fitted to values
     overlay: str = "arrows"  # one of OVERLAYS
     node: tuple[float, float] | None = None  # x and y of the clicked node, metres
 
     @property
     def coloured(self) -> str:
-        """Variable that the colour scale belongs to; w while the map shows the quality, which has none."""
+        """Variable of the colour scale; "w" while the map shows the quality, which has no scale."""
         return "w" if self.show == "quality" else self.show
 
     @property
@@ -63,7 +63,10 @@ class Place:
         return display(self.coloured).colour_map
 
     def query(self) -> str:
-        """Return the query of a link to this state; defaults other than variable and step are left out."""
+        """Return the query of a link to this state.
+
+        Fields with their default value are left out, except the variable and the step.
+        """
         pairs = {}
         for field in fields(self):
             value = getattr(self, field.name)
@@ -77,9 +80,10 @@ class Place:
     def read(
         cls, query: Mapping[str, str], names: Sequence[str] = (), steps: int = 0, first: int = 0
     ) -> "Place":
-        """Read the names and values of a query, and ignore values that are not valid.
+        """Return the state that a query describes, by name and value; values that are not valid are ignored.
 
-        `names` are the cube's variables, `steps` their number of steps, `first` the step shown by default.
+        `names` are the variables of the cube, `steps` is its number of steps, and `first` the step that is
+        shown if the query names none.
         """
         out = cls(step=first, show="w" if "w" in names or not names else names[0])
         choices = _CHOICES | {"show": tuple(names)}
@@ -91,7 +95,10 @@ class Place:
 
 
 def _parse(name: str, text: str, choices: Mapping[str, Sequence[str]]) -> Value:
-    """Return the value of one field of a query; None if it is not valid."""
+    """Return the value of one field of a query; None if the text is not valid.
+
+    `choices` lists the valid values by field; an empty list allows any text.
+    """
     try:
         if name == "step":
             return int(text)
@@ -130,10 +137,10 @@ Series = NDArray[np.floating]
 class Panel(Protocol):
     """The content of a tab."""
 
-    layout: UIElement  # its figures and widgets
+    layout: UIElement  # figures and widgets of the panel
 
     def show(self, place: Place) -> None:
-        """Update the figures to the state of the page."""
+        """Update the figures of the panel to the state of the page."""
         ...
 
 
@@ -142,17 +149,17 @@ P = TypeVar("P", bound=Panel)
 
 @dataclass(frozen=True)
 class PanelEvents:
-    """Functions of the page that its panels call."""
+    """Functions of the page that its panels call when the user does something."""
 
-    picked: Callable[[float, float], None]  # with x and y, metres, when the reader picks a point
-    # with camera, column and row of a click; returns whether the click became a corner of a mask
+    picked: Callable[[float, float], None]  # with x and y, metres, when the user picks a point
+    # with a click's camera, column and row, px; returns whether the click became a corner of a mask
     took_corner: Callable[[str, float, float], bool]
     masks_changed: Callable[[], None]  # when corners of a mask were added or removed
-    image_chosen: Callable[[], None]  # when another camera or overlay was chosen
+    image_chosen: Callable[[], None]  # when the user chose another camera or overlay
 
 
 class LazyPanel(Generic[P]):
-    """A panel that is made when its tab is first opened; until then the tab shows "Loading"."""
+    """A panel that `make` builds when its tab is first opened; until then the tab shows "Loading"."""
 
     def __init__(self, make: Callable[[], P]) -> None:
         loading = text_line("", _LOADING, html=True)
@@ -163,11 +170,11 @@ class LazyPanel(Generic[P]):
 
     @property
     def made(self) -> bool:
-        """Whether the panel exists, because its tab was opened."""
+        """Whether the panel has been made, because its tab was opened."""
         return self._made is not None
 
     def __call__(self) -> P:
-        """Return the panel; the first call makes it and puts it into the tab."""
+        """Return the panel; at the first call it is made and put into the tab."""
         if self._made is None:
             self._made = self._make()
             self.body.children = [self._made.layout]
@@ -175,7 +182,10 @@ class LazyPanel(Generic[P]):
 
 
 def make_figure(name: str, **settings: object) -> figure:
-    """Return a figure in the style of the pages: full width, light grid, no toolbar."""
+    """Return a Bokeh figure in the style of the pages: full width, light grid, no toolbar.
+
+    `settings` are those of `bokeh.plotting.figure`, and replace the style.
+    """
     settings = _DEFAULTS | settings
     if isinstance(settings["tools"], str):
         wheels = [tool for tool in settings["tools"].split(",") if tool.endswith("wheel_zoom")]
@@ -196,7 +206,10 @@ def make_figure(name: str, **settings: object) -> figure:
 
 
 def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UIElement]) -> Tabs:
-    """Return tabs with titles; their content never widens the page, and hidden content is not laid out."""
+    """Return tabs with titles and bodies; `active` is the index of the open one.
+
+    A body never widens the page, and a hidden one is not laid out.
+    """
     tabs = [TabPanel(child=body, title=title) for title, body in zip(titles, bodies)]
     narrow = {"grid-template-columns": "minmax(0, 1fr)", "min-width": "0"}
     made = Tabs(tabs=tabs, active=active, name=name, sizing_mode="stretch_width", styles=narrow)
@@ -208,7 +221,9 @@ def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UI
 
 
 def make_sources(prefix: str, **columns: str) -> dict[str, ColumnDataSource]:
-    """Return empty data sources named `prefix_key`, by key; the value of a key lists its columns.
+    """Return empty data sources by key; each keyword is a key, its value lists the names of the columns.
+
+    The name of a source is the prefix, an underscore and the key.
 
     Examples
     --------
@@ -222,13 +237,16 @@ def make_sources(prefix: str, **columns: str) -> dict[str, ColumnDataSource]:
 
 
 def clear(*sources: ColumnDataSource) -> None:
-    """Empty data sources."""
+    """Empty the columns of data sources."""
     for source in sources:
         source.data = {name: [] for name in source.data}
 
 
 def on_click(made: figure, handle: Callable[[Tap], None]) -> None:
-    """Call a function at every click; Bokeh reports a second click within 0.3 s as another event."""
+    """Call `handle` at every click on a figure.
+
+    Bokeh reports a second click within 0.3 s as another event, which is handled as well.
+    """
     for event in (Tap, DoubleTap):
         made.on_event(event, handle)
 
@@ -236,14 +254,17 @@ def on_click(made: figure, handle: Callable[[Tap], None]) -> None:
 def add_hover(
     made: figure, *rows: tuple[str, str], renderers: Sequence[object] = (), mode: str = "mouse"
 ) -> None:
-    """Add a tooltip for the point under the pointer; each row is a name and a format of Bokeh."""
+    """Add a tooltip for the point under the pointer; each row is a name and a format of Bokeh.
+
+    `renderers` are the drawings that it describes, by default all; `mode` is that of Bokeh's HoverTool.
+    """
     drawn = list(renderers) or "auto"
     made.add_tools(HoverTool(tooltips=list(rows), mode=mode, renderers=drawn, line_policy="nearest"))
 
 
 @cache
 def asset(name: str) -> str:
-    """Return the text of a file in the folder `assets`."""
+    """Return the text of the file `name` in the folder `assets`."""
     return files("wavefield.explorer").joinpath(f"assets/{name}").read_text(encoding="utf-8")
 
 
@@ -255,10 +276,11 @@ def apply_template(
     keys: bool = True,
     aspect: float = 1.3,
 ) -> None:
-    """Set the HTML template of a document: heading, roots by name (`places`), list of keyboard keys.
+    """Set the HTML template of a Bokeh document.
 
-    `aspect` is the width of the map over its height. It limits the width of the tabs so that the map fits
-    into the height of the window.
+    `heading` and `command` (the wavefield command) make its title. `places` are the names of the root
+    elements, in order. With `keys` the page lists the keyboard keys. `aspect` is the width of the map over
+    its height: it limits the width of the tabs so that the map fits into the height of the window.
     """
     document.title = f"{heading} – wavefield {command}"
     document.template = Environment(autoescape=True).from_string(asset("page.html"))
@@ -273,35 +295,35 @@ def apply_template(
 
 
 def text_line(name: str, text: str = "", html: bool = False) -> Div:
-    """Return a paragraph of text of full width; with `html` the caller must escape the text."""
+    """Return a paragraph of full width; with `html` the text is HTML, in which the caller escapes text."""
     return Div(
         text=text, name=name, sizing_mode="stretch_width", render_as_text=not html, disable_math=True
     )  # fmt: skip
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return a number as text with significant digits and a typographic minus sign."""
+    """Return a number as text to some significant digits, with a typographic minus sign."""
     return f"{value:.{digits}g}".replace("-", "\u2212")
 
 
 def plain(words: object) -> str:
-    """Return text with the characters that HTML reserves escaped."""
+    """Return `words` as text for HTML: the characters that HTML reserves are escaped."""
     return escape(str(words), quote=False)
 
 
 def alert(error: Exception) -> str:
-    """Return an error as HTML that screen readers announce."""
+    """Return the message of an error as HTML that screen readers announce."""
     return f'<span role="alert">{plain(error)}</span>'
 
 
 def chosen(choice: Select) -> str:
-    """Return the value of a list; the first option if the browser sent a value that is not an option."""
+    """Return the value that the user chose in a list, or its first option if the browser sent no option."""
     values = [option if isinstance(option, str) else str(option[0]) for option in choice.options]
     return str(choice.value) if choice.value in values else next(iter(values), "")
 
 
 def named(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the options of a list of variables, each with its meaning."""
+    """Return the options of a list of variables: pairs of a name, and the name with its meaning."""
     return [(name, f"{name}: {TABLE[name].long_name}") for name in names]
 
 
@@ -309,21 +331,25 @@ def named(names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def draw_band(made: figure, source: ColumnDataSource, x: str, y: str, **line: object) -> None:
-    """Draw a line with the band between the columns `low` and `high`."""
+    """Draw a line through the columns x and y of a source, and the band between its columns `low` and `high`.
+
+    `line` are settings of the line, as in Bokeh.
+    """
     made.varea(x, "low", "high", source=source, fill_color=BLUE, fill_alpha=0.22)
     made.line(x, y, source=source, **({"line_color": BLUE, "line_width": 1.6} | line))
 
 
 def draw_ring(made: figure, source: ColumnDataSource, x: str, y: str, colour: str, size: int) -> None:
-    """Draw a ring with a white outline around each point of a source."""
+    """Draw a ring, `size` px wide, with a white outline around each point in columns x, y of a source."""
     for ring, width in (("white", 5.0), (colour, 2.3)):
         made.scatter(x, y, source=source, size=size, fill_color=None, line_color=ring, line_width=width)
 
 
 def probe_columns(names: Sequence[str], x: Series, y: Series, middle: float) -> dict[str, list[object]]:
-    """Return the columns of a source for `draw_probes`, from positions (n,) in metres.
+    """Return the columns of a source for `draw_probes`, for probes at x, y (n,), metres.
 
-    The name of a probe stands on its right, or on its left beyond x = `middle`, where it stays on the map.
+    A name stands on the right of its probe. If x is above `middle`, metres, it stands on the left, so that it
+    does not leave the map.
     """
     right = [float(at) > middle for at in x]
     return {
@@ -345,7 +371,7 @@ def draw_probes(made: figure, source: ColumnDataSource) -> None:
 
 
 def draw_masks(made: figure, drawn: ColumnDataSource, saved: ColumnDataSource) -> None:
-    """Draw the saved masks, and the corners of the mask that is being drawn."""
+    """Draw the masks of the source `saved`, and the corners of the new mask in the source `drawn`."""
     made.patches(
         "xs", "ys", source=saved, fill_alpha=0.15, fill_color=INK, hatch_pattern="/", hatch_alpha=0.5,
         hatch_color="white", line_color=INK, line_width=1.5,
@@ -358,22 +384,22 @@ def draw_masks(made: figure, drawn: ColumnDataSource, saved: ColumnDataSource) -
 
 @cache
 def palette(colour_map: str) -> list[str]:
-    """Return 256 colours of a colour map by its matplotlib name, "RdBu_r" or "cividis"."""
+    """Return 256 colours of the matplotlib colour map "RdBu_r" or "cividis"."""
     return list(palettes.interp_palette(_PALETTES[colour_map], 256))
 
 
 def quality_mapper() -> LinearColorMapper:
-    """Return the mapper from the index of a kind of quality to its colour."""
+    """Return the colour mapper of the index into `KINDS`, the kind of quality of a node."""
     return LinearColorMapper(palette=[colour for _, _, colour in KINDS], low=-0.5, high=len(KINDS) - 0.5)
 
 
 def grey_mapper() -> LinearColorMapper:
-    """Return the mapper of grey levels from 0 to 255."""
+    """Return the colour mapper of grey levels from 0 to 255."""
     return LinearColorMapper(palette=[f"#{k:02x}{k:02x}{k:02x}" for k in range(256)], low=0, high=255)
 
 
 def colour_bar(mapper: LinearColorMapper) -> ColorBar:
-    """Return a colour bar for the right side of a figure."""
+    """Return a colour bar of a mapper, for the right side of a figure."""
     return ColorBar(
         color_mapper=mapper, width=14, padding=8, margin=0, major_label_text_font_size="11px",
         ticker=BasicTicker(desired_num_ticks=7), formatter=NumeralTickFormatter(format="0.[000]"),
@@ -381,7 +407,7 @@ def colour_bar(mapper: LinearColorMapper) -> ColorBar:
 
 
 def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
-    """Return the columns of a source for values (ny, nx) as pixels centred on the nodes x (nx,), y (ny,)."""
+    """Return the columns of an image source: values (ny, nx) as pixels around the nodes x (nx,), y (ny,)."""
     dx, dy = (float(v[-1] - v[0]) / max(len(v) - 1, 1) or 1.0 for v in (x, y))
     return {
         "image": [np.ascontiguousarray(values, np.float32)],
@@ -396,10 +422,10 @@ def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
 
 
 def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
-    """Thin long series (n,) so that their extremes stay visible on a screen.
+    """Return x and series (n,) thinned so that crests and troughs of the first series stay visible.
 
-    Of each bin of samples it keeps the two at which the first series is lowest and highest. Returns x and all
-    series at the samples that are kept, (m,), in order; series of at most `MOST_POINTS` are unchanged.
+    Each bin of samples keeps the two at which the first series is lowest and highest, in order: (m,). Series
+    of at most `MOST_POINTS` are returned as they are.
     """
     if x.size <= MOST_POINTS:
         return (x, *series)
@@ -415,10 +441,11 @@ def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
 
 
 def band(value: Series, std: Series, thinned: bool) -> tuple[Series, Series]:
-    """Return the edges (n,) of the band value - std to value + std; NaN in gaps.
+    """Return the edges value - std and value + std, each (n,), of a band; NaN in gaps.
 
-    A series thinned by `envelope` alternates between crests and troughs. Its band is widened to enclose the
-    neighbours: an alternating band would hide the line, and a browser takes seven times as long to fill it.
+    `thinned` tells that `envelope` thinned the series, so that it alternates between crests and troughs. The
+    band is then widened to enclose the neighbours of each point: an alternating band would hide the line, and
+    a browser takes seven times as long to fill it.
     """
     low, high = value - std, value + std
     if not thinned:

@@ -29,19 +29,22 @@ _STEPS_PER_READ = 8  # steps of a field read at once, which makes playback smoot
 
 
 def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
-    """Return stored 16-bit integers times their scale; NaN where missing."""
+    """Return stored 16-bit integers times `scale`, in the shape of `stored`; NaN where missing."""
     values = stored.astype(np.float32) * np.float32(scale)
     values[stored == MISSING] = np.nan
     return values
 
 
 def nearest(positions: NDArray[np.floating], requested: float) -> int:
-    """Return the index of the position nearest to the requested one."""
+    """Return the index of the position (n,) nearest to the requested one."""
     return int(np.argmin(np.abs(positions - requested)))
 
 
 class CubeRecord:
-    """A cube, finished or not: any variable at any step, and series from its preview."""
+    """A cube, finished or not: any variable at any step, and series from a thinned copy, `preview`.
+
+    Raises StoreError if there is no cube at the path.
+    """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path).absolute()
@@ -52,7 +55,7 @@ class CubeRecord:
         self.stored = tuple(name for name in TABLE if name in fields)
         self._cache: OrderedDict[tuple[str, int], NDArray[np.float32]] = OrderedDict()
         self._lock = threading.Lock()
-        self.ledger = np.zeros(self.layout.steps, np.uint8)
+        self.ledger = np.zeros(self.layout.steps, np.uint8)  # `frame_status` of each step
         self.refresh()
         self.preview = Preview(self)
 
@@ -63,7 +66,7 @@ class CubeRecord:
 
     @property
     def frame_rate(self) -> float:
-        """Frames per second, Hz."""
+        """Frame rate of the cameras, Hz."""
         return float(self.group.attrs["frame_rate"])
 
     @property
@@ -72,7 +75,7 @@ class CubeRecord:
         return str(self.group.attrs["experiment"])
 
     def refresh(self) -> bool:
-        """Read the status of the steps again; return whether it has changed."""
+        """Read the status of the steps again, drop fields of changed steps; return whether any changed."""
         ledger = read_array(self.group, self.path, "frame_status")
         changed = ledger != self.ledger
         for key in [key for key in self._cache if changed[key[1]]]:
@@ -82,16 +85,16 @@ class CubeRecord:
 
     @property
     def steps_done(self) -> int:
-        """Number of steps that the run has tried."""
+        """Number of steps that the run has measured or given up."""
         return int(np.count_nonzero(self.ledger))
 
     def first_step(self) -> int:
-        """Return the first step that was measured, or 0."""
+        """Return the index of the earliest measured step; 0 if no step is measured."""
         measured = np.isin(self.ledger, (FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS))
         return int(np.argmax(measured))
 
     def field(self, name: str, step: int) -> NDArray[np.float32]:
-        """Return a variable at one step, (ny, nx), in the units of the store."""
+        """Return a stored or derived variable at one step, (ny, nx), in the units of the cube."""
         if name in DERIVED:
             return self._derived(name, step)
         with self._lock:
@@ -107,7 +110,7 @@ class CubeRecord:
         return out
 
     def _derived(self, name: str, step: int) -> NDArray[np.float32]:
-        """Return a derived variable at one step, (ny, nx)."""
+        """Return a variable of `DERIVED` at one step, (ny, nx), computed from stored ones."""
         from wavefield.waves.motion import terms
 
         fields = {stored: self.field(stored, step) for stored in BALANCE}
@@ -116,7 +119,7 @@ class CubeRecord:
 
 
 class Preview:
-    """The thinned cube in memory, read once in the background."""
+    """A copy of a cube in memory with fewer nodes and 16-bit values, read in the background for series."""
 
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
@@ -130,13 +133,13 @@ class Preview:
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """Whether each chunk of the cube is measured, (chunks,)."""
+        """Whether all steps of each chunk of the cube are done, (chunks,)."""
         ledger = self._record.ledger
         return np.array([bool(ledger[a:b].all()) for a, b in self._record.layout.chunks()])
 
     @property
     def complete(self) -> bool:
-        """Whether all measured chunks are in memory."""
+        """Whether all chunks that are done are in memory."""
         return bool((self.loaded | ~self.measured).all())
 
     @property
@@ -145,7 +148,7 @@ class Preview:
         return int(self.loaded.sum())
 
     def load(self) -> None:
-        """Read the measured chunks that are not in memory yet."""
+        """Read the chunks that are done and not in memory yet; an error is noted in `trouble`."""
         with self._lock:
             measured = self.measured
             self.loaded &= measured  # a chunk that is being measured again must be read again
@@ -160,16 +163,16 @@ class Preview:
                 self.loaded[index] = True
 
     def stored(self, name: str) -> NDArray[np.int16]:
-        """Return one variable, (y, x, time), as 16-bit integers; `MISSING` where it is not read yet."""
+        """Return one variable, (y, x, time), as 16-bit integers; `MISSING` where no value is read yet."""
         return np.asarray(self.fields[self.thin.names.index(name)])
 
     def series(self, name: str, j: int, i: int) -> NDArray[np.float32]:
-        """Return a variable at one node of the preview, (time,), in the units of the store."""
+        """Return a variable at row j and column i of the thinned nodes, (time,), in the units of the cube."""
         return decode(self.stored(name)[j, i], self.thin.scales[self.thin.names.index(name)])
 
 
 class LookSession:
-    """The cube and run that all pages of one server share; the cube may be unfinished or damaged."""
+    """The cube and run that all pages of one server share; the cube need not be finished."""
 
     def __init__(self, path: str | Path) -> None:
         self.record = CubeRecord(path)
@@ -177,7 +180,7 @@ class LookSession:
 
     @cached_property
     def run(self) -> "Run":
-        """Rig, experiment, images, waves and probes of the cube; slow, so not used for the first map."""
+        """Rig, experiment, images, waves and probes of the cube; slow to open, so not for the first map."""
         import xarray as xr
 
         from wavefield.pipeline import Run
@@ -189,11 +192,11 @@ class LookSession:
         return Run(axes, record.path, self.waves_path)
 
     def reopen(self) -> None:
-        """Read the files of the run again when they are next used, because they have changed."""
+        """Let the files of the run be read again at the next use, because they have changed."""
         self.run = replace(self.run)
 
     def load(self) -> threading.Thread:
-        """Read the preview in a thread, which is returned."""
+        """Start to read the thinned copy of the cube in a thread; return the thread."""
         thread = threading.Thread(target=self.record.preview.load, daemon=True, name="preview")
         thread.start()
         return thread

@@ -35,13 +35,16 @@ _HOSTS = ("localhost", "127.0.0.1")
 
 
 def requested_place(session: LookSession, query: dict[str, str]) -> Place:
-    """Return the page state that the query of a link asks for, limited to what the cube has."""
+    """Return the page state that the query of a link describes, limited to what the cube has."""
     record = session.record
     return Place.read(query, record.names, record.layout.steps, record.first_step())
 
 
 def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
-    """Return x and y, metres, of the measured node nearest to the middle of the grid."""
+    """Return x and y, metres, of the node measured at this step that is nearest to the middle of the grid.
+
+    If none is measured there, it is the node nearest to the middle.
+    """
     x, y = np.meshgrid(record.x - record.x.mean(), record.y - record.y.mean())
     distance = np.hypot(x, y)
     with suppress(StoreError):  # the map reports a damaged step
@@ -52,10 +55,10 @@ def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
 
 
 class Refused(RequestHandler):
-    """Refuses requests that lack the token or come from another machine or website."""
+    """Answers requests that lack the token or come from another machine or website."""
 
     def prepare(self) -> None:
-        """Answer with status 403."""
+        """Answer with status 403 and a sentence."""
         self.set_status(403)
         self.finish(
             "Open the whole address that the program printed: it holds a token, and works for localhost."
@@ -88,9 +91,9 @@ class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has 
         return found
 
     def _allows(self, request: HTTPServerRequest) -> bool:
-        """Return whether a request has the token, is sent to this machine, and comes from its own page.
+        """Return whether a request has the token, is sent to this machine, and comes from its own pages.
 
-        Any port is accepted, because an SSH tunnel may use another one.
+        Any port is accepted, because an SSH tunnel may use another port.
         """
         given = request.path.split("/")[1] if request.path.startswith("/") else ""
         host = request.headers.get("Host", "")
@@ -101,7 +104,7 @@ class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has 
 
 
 class PageServer(BaseServer):  # type: ignore[misc]
-    """HTTP server of the pages."""
+    """HTTP server of the pages of one cube or experiment."""
 
     _tornado: GuardedTornado
 
@@ -112,9 +115,10 @@ class PageServer(BaseServer):  # type: ignore[misc]
 
 
 def make_server(make_page: Callable[[Document], None], port: int | None) -> PageServer:
-    """Return a server for this machine at a port, by default the first free one of `DEFAULT_PORTS`.
+    """Return a server of pages that only this machine can open.
 
-    `make_page` fills the Bokeh document of each browser tab. Raises WavefieldError if no port is free.
+    `make_page` fills the Bokeh document of each browser tab. `port` is by default the first free one of
+    `DEFAULT_PORTS`. Raises WavefieldError if no port is free.
     """
     ports = DEFAULT_PORTS if port is None else range(port, port + 1)
     for number in ports:
@@ -137,7 +141,10 @@ def make_server(make_page: Callable[[Document], None], port: int | None) -> Page
 
 
 def session_server(session: LookSession, port: int | None = None) -> PageServer:
-    """Return a server of the page of a cube; each browser tab starts in the state that its link asks for."""
+    """Return a server of the pages of a cube; each browser tab opens in the state that its link describes.
+
+    `port` is by default the first free one of `DEFAULT_PORTS`. Raises WavefieldError if no port is free.
+    """
 
     def make_page(document: Document) -> None:
         arguments = document.session_context.request.arguments or {}
@@ -151,7 +158,10 @@ def session_server(session: LookSession, port: int | None = None) -> PageServer:
 
 
 class ServedPage:
-    """A page whose server runs in its own thread, so that a notebook can show the page in a frame."""
+    """A page whose server runs in its own thread, so that a notebook can show the page in a frame.
+
+    `make` returns the server, and is called in that thread. Errors of `make` are raised here.
+    """
 
     def __init__(self, make: Callable[[], PageServer]) -> None:
         self._ready = threading.Event()
@@ -178,12 +188,12 @@ class ServedPage:
 
     @property
     def url(self) -> str:
-        """Address of the page."""
+        """Address of the page, with its token."""
         assert self._server is not None
         return self._server.url
 
     def stop(self) -> None:
-        """Close the page and its server."""
+        """Stop the server; the page shows that it is no longer connected."""
         server = self._server
         if server is None or not self._thread.is_alive():
             return

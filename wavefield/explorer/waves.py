@@ -21,7 +21,7 @@ _WRAP = {"flex-wrap": "wrap"}
 
 
 def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return log10 of a density relative to its largest value, at least -`DECADES`; NaN without any."""
+    """Return log10 of a density over its largest value, -`DECADES` at least; NaN if no value is positive."""
     top = float(np.nanmax(density)) if np.isfinite(density).any() else 0.0
     if top <= 0:
         return np.full(density.shape, np.nan, np.float32)
@@ -30,15 +30,15 @@ def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def doppler_relation(k: NDArray[np.floating], current: float, depth: float) -> NDArray[np.floating]:
-    """Return the frequency, Hz, at a fixed point: (omega(k) + k U) / 2 pi.
+    """Return the frequency, Hz, of free waves at a fixed point, (omega(k) + k U) / 2 pi, in the shape of k.
 
-    The waves k, rad/m, travel along a current U, m/s, in water of a depth in metres.
+    k is the wavenumber, rad/m, of waves along the current U = `current`, m/s; `depth` is in metres.
     """
     return np.asarray((water.dispersion(k, depth) + k * current) / (2 * np.pi))
 
 
 class WavePanel:
-    """The spectra that `wavefield analyze` wrote, with sliders for current and depth."""
+    """The tab with the spectra that `wavefield analyze` wrote, and sliders for current and depth."""
 
     def __init__(self, session: LookSession) -> None:
         self._session = session
@@ -110,7 +110,7 @@ class WavePanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Show the spectra of the whole record, as soon as they exist; they do not depend on the step."""
+        """Draw the spectra of the whole record as soon as they are written; `place` does not matter."""
         if self._spectra is not None:
             return
         session = self._session
@@ -155,7 +155,7 @@ class WavePanel:
         self._show_circle()
 
     def choose(self, frequency: float) -> None:
-        """Show the map of E(kx, ky) at the stored frequency nearest to one in Hz."""
+        """Draw E(kx, ky) at the stored frequency nearest to `frequency`, Hz."""
         if self._spectra is None or "omega_map" not in self._spectra.coords:
             return
         hertz = self._spectra.omega_map.values / (2 * np.pi)
