@@ -14,7 +14,6 @@ from wavefield.variables import annotate, validate
 from wavefield.waves import kernels
 from wavefield.waves.current import delayed_current
 from wavefield.waves.dof import (
-    accumulate,
     independent_samples,
     keep_points,
     of_products,
@@ -148,7 +147,6 @@ def add_segment(
     cells, half = first[names[0]].shape
     dtype = first[names[0]].dtype
     transform = TimeTransform(half, dtype, len(names))
-    powers = {name: np.zeros_like(sums[name]) for name in names}  # of this segment alone
     omega = 2 * np.pi * np.fft.fftfreq(2 * half, dt)  # signed
     k = half_plane(*welch.record.shape, welch.record.dy, welch.record.dx)
     quadrature = [factor.astype(first[names[0]].real.dtype) for factor in _quadrature(omega * dt / 2)]
@@ -159,13 +157,12 @@ def add_segment(
             lines[name] = transform(first[name][slab], second[name][slab], i)
             if name == "z":
                 lines[name] *= to_frame_time(k[slab, None], omega, dt, welch.frames)
-            kernels.ring_powers(lines[name], start, table.ring, table.weight, table.spread, powers[name])
+            kernels.ring_powers(lines[name], start, table.ring, table.weight, table.spread, sums[name])
             if name in requested.planes:
                 kernels.add_powers(lines[name], sums[f"map {name}"][slab])
         for pair in requested.pairs:
             _add_products(sums, lines, pair, slab, table, quadrature)
     for name in names:
-        accumulate(sums, name, powers[name], begin)
         keep_points(sums, name, first[f"points {name}"], second[f"points {name}"], begin)
 
 

@@ -1,4 +1,4 @@
-"""The part of a cube that spectra are computed from: its largest full rectangle, its unbroken runs."""
+"""The record that spectra are computed from: the largest full rectangle and the unbroken runs of a cube."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,14 +17,15 @@ from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, Quality, factor
 
 Array = NDArray[Any]
 
-FILL_MARGIN = 8  # steps before and after a missing value that help to fill it; more change nothing
-FLOOR = 1e-8  # of the largest power: the range in which a noise-free field is still interpolated
-ITERATIONS = 12  # of conjugate gradients: with a fifth of the nodes missing at random more change nothing
-ROUNDS = 3  # spectrum from the filled block, values from the spectrum; a fourth changes nothing
+FILL_MARGIN = 8  # steps before and after a gap from which it is filled; a larger margin changes nothing
+FLOOR = 1e-8  # smallest power in the prior spectrum, relative to the largest; regularises noise-free fields
+# conjugate-gradient steps; with 20 % of the nodes missing at random, more steps change nothing
+ITERATIONS = 12
+ROUNDS = 3  # alternations between the prior spectrum and the filled values; a fourth changes nothing
 
 
 def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
-    """Fill the missing steps, and nodes, of a piece of a record (steps, ny, nx)."""
+    """Fill the missing steps and the NaN nodes of a block (steps, ny, nx)."""
     if not missing.any() and all_finite(block):
         return block
     hole = ~np.isfinite(block) | missing[:, None, None]
@@ -36,12 +37,12 @@ def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
 
 
 def fill_error(block: Array) -> float:
-    """Standard deviation of `fill` at the middle of 2 `FILL_MARGIN` + 1 steps; NaN without holes.
-    Measured on present nodes, in holes of the same shapes half a field away.
+    """Standard deviation of the error of `fill` in the middle of 2 `FILL_MARGIN` + 1 steps, or NaN.
+    Measured nodes are removed in holes of the same shapes, half a field away, and compared with their fill.
     """
     holes = ~np.isfinite(block)
     ny, nx = holes.shape[1:]
-    elsewhere = np.roll(holes, (ny // 2, nx // 2), (1, 2))  # at all steps: a hole stays for some of them
+    elsewhere = np.roll(holes, (ny // 2, nx // 2), (1, 2))  # at all steps, since a hole may last
     known = elsewhere[FILL_MARGIN] & ~holes[FILL_MARGIN]
     if not known.any() or holes[FILL_MARGIN].all():
         return np.nan
@@ -50,15 +51,15 @@ def fill_error(block: Array) -> float:
 
 
 def most_probable(block: Array, hole: NDArray[np.bool_]) -> Array:
-    """Values missing, (hole.sum(),), in a block (steps, ny, nx): conditional mean of a Gaussian process.
-    Its spectrum S is that of the filled block over frequency and rings of wavenumber. With G = 1 - min(S) / S
-    the values solve x_m = G_mm x_m + G_mo x_o. The first ones are means of near nodes and steps.
+    """Values at the holes, (hole.sum(),), of a block (steps, ny, nx): conditional mean of a Gaussian process.
+    Its spectrum S(omega, |k|) is that of the filled block. With G = 1 - min(S) / S the missing values solve
+    x_m = G_mm x_m + G_mo x_o. The iteration begins with local means.
     """
     mean = block[~hole].mean(dtype=float)
     known = np.where(hole, 0, block - mean).astype(block.dtype)
     weight = ndimage.gaussian_filter((~hole).astype(block.dtype), 1.0)
     x = (ndimage.gaussian_filter(known, 1.0) / np.maximum(weight, 1e-9))[hole]
-    _, ny, nx = hole.shape  # cosines of half a period and more
+    _, ny, nx = hole.shape  # a cosine transform: line n has n / 2 periods
     distance = np.hypot(np.linspace(0, 1, ny)[:, None], np.linspace(0, 1, nx))
     ring = np.rint(distance * min(ny, nx)).astype(int)
     line = np.arange(len(hole))[:, None, None] * (ring.max() + 1) + ring
@@ -82,7 +83,7 @@ def _with(known: Array, hole: NDArray[np.bool_], values: Array) -> Array:
 
 def _conditional_mean(gain: Array, known: Array, hole: NDArray[np.bool_], x: Array) -> Array:
     """Solve x_m = G_mm x_m + G_mo x_o by conjugate gradients from x."""
-    from scipy.sparse.linalg import LinearOperator, cg  # few records need it
+    from scipy.sparse.linalg import LinearOperator, cg  # slow to import; few records need it
 
     def predicted(whole: Array) -> Array:
         lines = fft.dctn(whole, norm="ortho", overwrite_x=True)
@@ -94,38 +95,39 @@ def _conditional_mean(gain: Array, known: Array, hole: NDArray[np.bool_], x: Arr
     return np.asarray(cg(matrix, seen, x, rtol=FLOOR**0.5, maxiter=ITERATIONS)[0])
 
 
-# does work for every item, on workers, and gives the results in the order of the items
+# each(work, items) maps work over the items, on workers, and yields the results in the order of the items
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]
 
-LONGEST_BRIDGE = 2  # steps: longer gaps split the record
-STEPS_PER_READ = 256  # of five fields of 100 x 130 nodes 67 MB
-HOLE_SIDE = 3  # nodes: smaller holes, such as rejected nodes leave, are isolated and filled well
-MIN_NODE_FRACTION = 0.9  # of the valid steps: a node of the rectangle is outside of holes in so many
-MIN_STEP_FRACTION = 0.95  # of the rectangle: a valid step has so many nodes outside of holes
-MIN_MEASURED = 0.5  # of the steps of a node, and of the nodes of a step, that isolated ones may lack
-FILLED_STEPS = 12  # at which the error of filled nodes is found
-MIN_NODES = 8  # along either side of the rectangle
+LONGEST_BRIDGE = 2  # steps; longer gaps split the record (across two, 3.3 Hz turns by half a period at 20 Hz)
+STEPS_PER_READ = 256  # steps in memory at once; five fields of 100 x 130 nodes take 67 MB
+HOLE_SIDE = 3  # nodes; smaller gaps (outliers) are isolated and filled well
+# Fraction of the steps in which a node of the rectangle, and of the nodes at which a valid step, is outside
+# of holes. Chosen: fewer holes shrink the rectangle, more of them raise the noise floor.
+MIN_OUTSIDE = 0.9
+MIN_MEASURED = 0.5  # fraction of values, per node and per step, that must be measured; the rest is filled
+FILLED_STEPS = 12  # steps at which the error of filled nodes is measured; chosen, it is then known to 20 %
+MIN_NODES = 8  # nodes along each side of the rectangle; chosen: twice the main lobe of a Hann window
 FIELDS = ("z", "z_t", "u", "v", "w")
 
 
 @dataclass(frozen=True)
 class Record:
-    """Where in a cube the estimators work.
+    """The rectangle of nodes and the runs of steps of a cube that the estimators use.
 
     Parameters
     ----------
     y, x : tuple of int
-        First node and one past the last, of the rectangle.
+        First node of the rectangle, and one past its last.
     runs : tuple of (int, int)
-        First step and one past the last, of each run without long gaps.
+        First step of each run without long gaps, and one past its last.
     bridged : tuple of int
-        Missing steps inside the runs: interpolated in time.
+        Missing steps inside the runs; they are interpolated.
     steps : int
         Steps of the whole cube.
     holes : int
-        Nodes missing inside the rectangle at valid steps: filled from those around them in space and time.
+        Number of values missing inside the rectangle at valid steps; they are interpolated.
     dt, dy, dx : float
-        Distances, s and m.
+        Steps of time, y and x, s and m.
     """
 
     y: tuple[int, int]
@@ -149,11 +151,11 @@ class Record:
         return max((b - a for a, b in self.runs), default=0)
 
     def steps_in_runs(self, shortest: int = 1) -> int:
-        """Steps of all runs that have so many steps at least."""
+        """Total number of steps of the runs that are not shorter than ``shortest``."""
         return sum(b - a for a, b in self.runs if b - a >= shortest)
 
     def part(self, first: int, stop: int) -> "Record":
-        """The record of some steps of one run."""
+        """The record restricted to the steps ``first`` to ``stop`` of one run."""
         return replace(
             self, runs=((first, stop),), bridged=tuple(n for n in self.bridged if first <= n < stop)
         )
@@ -184,7 +186,7 @@ def _spacing(array: xr.DataArray | xr.Dataset, name: str) -> float:
 
 
 def check_axes(array: xr.DataArray | xr.Dataset) -> tuple[float, float, float]:
-    """Steps dt, dy, dx of the axes of a cube, which are evenly spaced."""
+    """Steps dt, dy, dx of the axes of a cube; raises `CubeError` if they are uneven."""
     for name in CUBE_DIMS:
         if name not in array.dims:
             raise CubeError(
@@ -206,7 +208,7 @@ def check_axes(array: xr.DataArray | xr.Dataset) -> tuple[float, float, float]:
 
 
 class _Stored:
-    """A piece of a stored field that is read on conversion and not kept (xarray would cache it)."""
+    """Part of a stored field, read on conversion to an array and not cached as xarray would."""
 
     def __init__(self, variable: xr.Variable, area: tuple[slice, slice, slice]) -> None:
         self.variable, self.area = variable, area
@@ -218,31 +220,31 @@ class _Stored:
 
 
 def piece(array: xr.DataArray, steps: slice, rows: slice = slice(None), columns: slice = slice(None)) -> Any:
-    """Cut a piece out of a field: a dask array if the cube is chunked, else read inside the task."""
+    """Part of a field (time, y, x): a dask array of a chunked field, else an array that is read when used."""
     if array.chunks is None:
         return _Stored(array.variable, (steps, rows, columns))
     return array.transpose(*CUBE_DIMS).isel(time=steps, y=rows, x=columns).data
 
 
 def chunk_steps(field: xr.DataArray) -> int:
-    """Steps of a chunk: of dask if the field is lazy, else in the store, 1 in memory."""
+    """Steps of a chunk, of dask or of the store; 1 for a field in memory."""
     if field.chunks is not None:
         return int(field.chunks[field.get_axis_num("time")][0])
     return int(field.encoding.get("preferred_chunks", {}).get("time", 1))
 
 
 def all_finite(block: np.ndarray) -> bool:
-    """Whether every value is finite, from their sum, which is faster than testing each."""
+    """Whether all values are finite; the sum is faster than a test of each value."""
     return bool(np.isfinite(block.sum(dtype=np.float64)))
 
 
 def outside_holes(finite: np.ndarray) -> np.ndarray:
-    """Nodes (steps, ny, nx) that are measured, or missing in less than `HOLE_SIDE` x `HOLE_SIDE` together.
-    Beyond an edge nodes count as missing, so that what is missing along an edge is a hole.
+    """Nodes (steps, ny, nx) outside of holes, which are squares of `HOLE_SIDE` missing nodes and more.
+    Nodes beyond an edge count as missing, so gaps along an edge are holes.
     """
     side = np.ones((1, HOLE_SIDE, HOLE_SIDE), bool)
     holes = np.zeros_like(finite)
-    for axis in (1, 2):  # one pair of edges after the other: at a corner a single node would be a hole
+    for axis in (1, 2):  # one axis at a time, or a single missing node in a corner would be a hole
         pad = [(0, 0), (0, 0), (0, 0)]
         pad[axis] = (HOLE_SIDE - 1, HOLE_SIDE - 1)
         opened = ndimage.binary_opening(np.pad(~finite, pad, constant_values=True), side)
@@ -251,11 +253,9 @@ def outside_holes(finite: np.ndarray) -> np.ndarray:
 
 
 def _finite(pieces: list[object]) -> np.ndarray | None:
-    """Packed masks of nodes with values in all variables, and of nodes outside holes, (2, steps, bytes).
-    None if nothing is missing.
-    """
+    """Packed masks (2, steps, bytes) of measured nodes and of nodes outside holes; None if complete."""
     mask = None
-    for part in pieces:  # one at a time: memory
+    for part in pieces:  # one field at a time saves memory
         block = np.asarray(part)
         if not all_finite(block):
             finite = np.isfinite(block)
@@ -266,7 +266,7 @@ def _finite(pieces: list[object]) -> np.ndarray | None:
 
 
 def _runs(valid_steps: np.ndarray) -> tuple[list[tuple[int, int]], list[int]]:
-    """Runs of valid steps, and the steps in short gaps between them that are bridged."""
+    """Runs of valid steps, joined across short gaps, and the steps of these gaps."""
     edges = np.flatnonzero(np.diff(np.r_[False, valid_steps, False].astype(int)))
     runs: list[tuple[int, int]] = []
     bridged: list[int] = []
@@ -286,26 +286,26 @@ def _finite_steps(arrays: Sequence[xr.DataArray], steps: tuple[int, int]) -> np.
 def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Record:
     """Find the largest full rectangle of nodes and the runs of valid steps of a cube.
 
-    Gaps of at most two steps are bridged by interpolation in time; longer ones split the record.
-    The values are read once (a lazy cube is computed for it); only a mask of them is held.
+    Gaps of at most two steps are interpolated; longer gaps split the record. The values are read once (a lazy
+    cube is computed), and only masks are kept in memory.
 
     Parameters
     ----------
     cube : xarray.Dataset or xarray.DataArray
-        Variables over (time, y, x), metres and seconds; ``frame_status`` and ``quality`` are used where
-        present: no node of the rectangle is masked at any step of the runs.
+        Variables over (time, y, x), metres and seconds. Steps that failed in ``frame_status`` and nodes that
+        are masked at any step in ``quality`` are left out.
     each : callable, optional
-        ``each(work, items)`` does the work elsewhere, and gives the results in order.
+        ``each(work, items)`` maps work over items on workers and yields the results in order.
 
     Returns
     -------
     Record
-        What the estimators work on.
+        Rectangle, runs and steps of the axes.
 
     Raises
     ------
     CubeError
-        If the axes are uneven, no step is valid or no full rectangle is left.
+        If the axes are uneven, no step is valid, or no full rectangle of 8 x 8 nodes exists.
     """
     dt, dy, dx = check_axes(cube)
     arrays = [cube] if isinstance(cube, xr.DataArray) else [cube[name] for name in FIELDS if name in cube]
@@ -313,7 +313,7 @@ def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Re
         raise CubeError(f"the cube has none of {', '.join(FIELDS)} over time, y and x")
     steps, ny, nx = (arrays[0].sizes[name] for name in CUBE_DIMS)
     chunk = chunk_steps(arrays[0])
-    at_a_time = max(STEPS_PER_READ // chunk, 1) * chunk  # each chunk is read once
+    at_a_time = max(STEPS_PER_READ // chunk, 1) * chunk  # whole chunks, so each is read once
     pieces = [(a, min(a + at_a_time, steps)) for a in range(0, steps, at_a_time)]
     if each is None:
         tasks = (dask.delayed(_finite)([piece(array, slice(a, b)) for array in arrays]) for a, b in pieces)
@@ -327,7 +327,7 @@ def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Re
     for steps_of, there in valid_nodes:
         if there is not None:
             measured, outside = there[:, :, y[0] : y[1], x[0] : x[1]].sum(axis=(2, 3))
-            valid_steps[steps_of] &= (outside >= MIN_STEP_FRACTION * size) & (measured >= MIN_MEASURED * size)
+            valid_steps[steps_of] &= (outside >= MIN_OUTSIDE * size) & (measured >= MIN_MEASURED * size)
             holes += int((size - measured)[valid_steps[steps_of]].sum())
     runs, bridged = _runs(valid_steps)
     return Record(y, x, tuple(runs), tuple(bridged), steps, holes, dt, dy, dx)
@@ -335,14 +335,14 @@ def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Re
 
 @dataclass(frozen=True)
 class _ValidNodes:
-    """Masks of nodes with values, and of nodes outside holes, packed in bits per piece; None if complete."""
+    """Masks of measured nodes and of nodes outside holes, as packed bits, for pieces of the record."""
 
     pieces: Sequence[tuple[int, int]]
-    masks: Sequence[np.ndarray | None]
+    masks: Sequence[np.ndarray | None]  # None for a piece without gaps
     shape: tuple[int, int]
 
     def __iter__(self) -> Iterator[tuple[slice, np.ndarray | None]]:
-        """Steps of each piece and, unless all nodes have values, the masks, (2, steps, ny, nx) bool."""
+        """Yield the steps of each piece and its masks (2, steps, ny, nx), or None if it is complete."""
         ny, nx = self.shape
         for mask, (a, b) in zip(self.masks, self.pieces):
             if mask is None:
@@ -353,7 +353,7 @@ class _ValidNodes:
 
 
 def _measured(cube: object, steps: int) -> np.ndarray:
-    """Steps that the ledger marks as measured; all without a ledger."""
+    """Steps that ``frame_status`` marks as measured; all steps if the cube has no such variable."""
     if isinstance(cube, xr.Dataset) and "frame_status" in cube:
         done = FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS
         return np.isin(cube["frame_status"].values, done)
@@ -361,7 +361,7 @@ def _measured(cube: object, steps: int) -> np.ndarray:
 
 
 def _valid_steps(valid_nodes: _ValidNodes, measured: np.ndarray) -> np.ndarray:
-    """Measured steps with at least half as many values as the median one."""
+    """Measured steps with at least half as many values as the median step."""
     ny, nx = valid_nodes.shape
     count = np.full(measured.size, ny * nx)
     for steps, there in valid_nodes:
@@ -370,19 +370,19 @@ def _valid_steps(valid_nodes: _ValidNodes, measured: np.ndarray) -> np.ndarray:
     not_empty = measured & (count > 0)
     if not not_empty.any():
         raise CubeError("no step of the cube holds a single value: run it first, or check its frame_status")
-    out: np.ndarray = not_empty & (count >= np.median(count[not_empty]) / 2)
+    out: np.ndarray = not_empty & (count >= MIN_MEASURED * np.median(count[not_empty]))
     return out
 
 
 def _rectangle(
     valid_nodes: _ValidNodes, valid_steps: np.ndarray, open_water: np.ndarray
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Largest rectangle of open water, y and x, whose nodes have values in nearly all valid steps."""
-    times = np.zeros((2, *valid_nodes.shape), int)  # measured, and outside of holes
+    """Largest rectangle, as ranges of y and x, of unmasked nodes that are measured at most valid steps."""
+    times = np.zeros((2, *valid_nodes.shape), int)  # number of steps measured, and outside of holes
     for steps, there in valid_nodes:
         valid = valid_steps[steps]
         times += int(valid.sum()) if there is None else there[:, valid].sum(axis=1)
-    least = np.array([MIN_MEASURED, MIN_NODE_FRACTION])[:, None, None] * valid_steps.sum()
+    least = np.array([MIN_MEASURED, MIN_OUTSIDE])[:, None, None] * valid_steps.sum()
     y, x = largest_rectangle((times >= least).all(axis=0) & open_water)
     if min(y[1] - y[0], x[1] - x[0]) < MIN_NODES:
         missing = 100 * (1 - times[0].mean() / valid_steps.sum())
@@ -396,18 +396,18 @@ def _rectangle(
 
 
 def _never_masked(cube: xr.Dataset | xr.DataArray, valid_nodes: _ValidNodes) -> np.ndarray:
-    """Nodes (ny, nx) that are masked at no step; a masked node has no value, and is never filled."""
+    """Nodes (ny, nx) that are masked at no step; masked nodes are not water and must not be filled."""
     out = np.ones(valid_nodes.shape, bool)
     if isinstance(cube, xr.Dataset) and "quality" in cube:
         for steps, there in valid_nodes:
             if there is not None:
-                bits = np.asarray(piece(cube["quality"], steps), np.float64)  # NaN where it was reindexed
+                bits = np.asarray(piece(cube["quality"], steps), np.float64)  # NaN at reindexed steps
                 out &= ((np.nan_to_num(bits).astype(np.int64) & int(Quality.MASKED)) == 0).all(axis=0)
     return out
 
 
 def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
-    """Take every node and step of an array that has nothing missing, without reading its values.
+    """Record of an array without missing values, made without reading them.
 
     Parameters
     ----------
@@ -417,7 +417,7 @@ def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
     Returns
     -------
     Record
-        All of it.
+        All nodes and steps.
     """
     dt, dy, dx = check_axes(array)
     steps, ny, nx = (array.sizes[name] for name in CUBE_DIMS)
@@ -425,8 +425,8 @@ def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
 
 
 def filled_error(record: Record, field: xr.DataArray) -> float:
-    """Standard deviation of the error of a field at filled nodes, measured on present nodes.
-    0 without filled nodes, NaN if runs are too short to measure it.
+    """Standard deviation of the error at filled nodes, measured at nodes that are present (`fill_error`).
+    0 without filled nodes; NaN if the runs are too short to measure it.
     """
     if not record.holes:
         return 0.0
@@ -442,6 +442,6 @@ def filled_error(record: Record, field: xr.DataArray) -> float:
 
 
 def filled_density(record: Record, field: xr.DataArray) -> float:
-    """Upper limit of what filled nodes add to E(omega) of a field, per rad/s: white error up to Nyquist."""
+    """Contribution of the errors of filled nodes to E(omega) of a field, for white errors up to Nyquist."""
     share = record.holes / max(record.steps_in_runs() * record.shape[0] * record.shape[1], 1)
     return float(np.nan_to_num(share * filled_error(record, field) ** 2 * record.dt / np.pi))

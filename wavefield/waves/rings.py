@@ -1,4 +1,4 @@
-"""Integration over the angle of the wave vector: shares of the cells of the k plane in rings of |k|."""
+"""Rings of |k|: area shares of the cells of the k plane, for integrals over the direction of k."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -6,32 +6,33 @@ from functools import lru_cache
 import numpy as np
 from scipy import sparse
 
-SUPERSAMPLING = 8  # per axis: lattice error .23 % rms instead of 7.7 % with whole cells
+SUPERSAMPLING = 8  # parts of a cell along each axis: lattice error .23 % rms, against 7.7 % with whole cells
+# squared correlation of the lines of a Hann window that are 0, 1 and 2 apart, for a flat spectrum
+HANN_CORRELATION = 1.0, (2 / 3) ** 2, (1 / 6) ** 2
 
 
 @dataclass(frozen=True, eq=False)
 class Rings:
     """Rings of the k plane of one rectangle of nodes."""
 
-    k: np.ndarray  # (rings,): Centres, rad/m
-    dk: float  # Width, rad/m
-    coverage: np.ndarray  # (rings,): Share of each ring inside the sampled plane, corners included
-    # (rings,): Independent cells of each ring under Hann windows in space, for energy spread evenly over it
-    cells: np.ndarray
-    # (rings, rings): Squared correlation between the means of rings, so that 1 / (p . overlap . p) is the
-    # number of independent cells of a sum with shares p
+    k: np.ndarray  # centres, (rings,), rad/m
+    dk: float  # width, rad/m
+    coverage: np.ndarray  # fraction of each ring inside the sampled plane with its corners, (rings,)
+    cells: np.ndarray  # independent cells of each ring under Hann windows, for an even spectrum, (rings,)
+    # Squared correlation between rings, (rings, rings): a sum over rings with shares p of the energy has
+    # 1 / (p . overlap . p) independent cells.
     overlap: np.ndarray
-    # (ny * nx, rings): Share of the area of each cell of the full plane (numpy's order) in each ring
+    # area share of each cell of the plane (numpy's order) in each ring, (cells, rings)
     shares: sparse.csr_array
-    start: np.ndarray  # The same for the half plane kx >= 0, as `kernels.ring_powers` takes it
+    # The shares of the half plane kx >= 0 as the arrays of a CSR matrix, for `kernels.ring_powers`.
+    start: np.ndarray
     ring: np.ndarray
     weight: np.ndarray
-    # As ``weight``, times the ring's part of the cells correlated with it: for the squared power
-    spread: np.ndarray
+    spread: np.ndarray  # ``weight`` times the sum of correlations with the other cells of the ring
 
 
 def wavenumbers(n: int, step: float) -> np.ndarray:
-    """Wavenumbers of `n` nodes `step` apart in numpy's order, (n,), rad/m."""
+    """Wavenumbers of the transform of `n` nodes `step` apart, (n,), rad/m, in numpy's order."""
     return 2 * np.pi * np.fft.fftfreq(n, step)
 
 
@@ -42,7 +43,7 @@ def half_plane(ny: int, nx: int, dy: float, dx: float) -> np.ndarray:
 
 
 def mirror_weights(nx: int) -> np.ndarray:
-    """How often each column kx >= 0 of a real field's transform counts in the full plane, (nx // 2 + 1,)."""
+    """Weights of the columns kx >= 0, (nx // 2 + 1,), in sums over the full plane of a real field."""
     weights = np.full(nx // 2 + 1, 2.0)
     weights[0] = 1
     if nx % 2 == 0:
@@ -51,18 +52,19 @@ def mirror_weights(nx: int) -> np.ndarray:
 
 
 def _hann_overlap(n: int) -> sparse.csr_array:
-    # squared correlation of neighbouring lines of a Hann-windowed transform: 1, (2/3)^2, (1/6)^2
-    out = sparse.csr_array((n, n))
+    """Squared correlation of the lines of a periodic Hann-windowed transform, (n, n)."""
     rows = np.arange(n)
-    for shift, value in ((0, 1.0), (1, 4 / 9), (-1, 4 / 9), (2, 1 / 36), (-2, 1 / 36)):
-        out = out + sparse.csr_array((np.full(n, value), (rows, (rows + shift) % n)), shape=(n, n))
+    out = sparse.eye_array(n, format="csr") * HANN_CORRELATION[0]
+    for shift, value in enumerate(HANN_CORRELATION[1:], start=1):
+        for column in (rows + shift) % n, (rows - shift) % n:
+            out = out + sparse.csr_array((np.full(n, value), (rows, column)), shape=(n, n))
     return out
 
 
 @lru_cache(maxsize=8)
 def rings(ny: int, nx: int, dy: float, dx: float) -> Rings:
-    """Cut the k plane into rings as wide as its cells; the corners beyond the Nyquist wavenumber are kept.
-    Every cell is split into 8 x 8 parts, each in the ring of its centre: energy is conserved to rounding.
+    """Rings of the k plane, as wide as a cell; the corners beyond the Nyquist wavenumber are included.
+    Every cell is split into 8 x 8 parts, and each part belongs to the ring of its centre.
     """
     cell_y, cell_x = 2 * np.pi / (ny * dy), 2 * np.pi / (nx * dx)
     dk = max(cell_y, cell_x)
@@ -82,7 +84,7 @@ def rings(ny: int, nx: int, dy: float, dx: float) -> Rings:
     blurred = sparse.kron(_hann_overlap(ny), _hann_overlap(nx), format="csr") @ shares
     norm = np.maximum(area, 1e-300)
     overlap = (shares.T @ blurred).toarray() / np.outer(norm, norm)
-    # a ring smaller than a cell still holds one cell
+    # a ring has at least one cell
     cells = np.maximum(1 / np.maximum(np.diag(overlap), 1e-300), 1.0)
 
     kept = (np.arange(ny)[:, None] * nx + np.arange(nx // 2 + 1)).ravel()

@@ -22,7 +22,6 @@ from wavefield.variables import (
 )
 from wavefield.waves import kernels, rings
 from wavefield.waves.dof import (
-    accumulate,
     keep_points,
     ring_freedom,
     with_interval,
@@ -225,19 +224,17 @@ def _powers_of_nodes(first: Array, second: Array) -> Array:
 def _add_ring_powers(
     table: rings.Rings, sums: dict[str, Array], first: dict[str, Array], second: dict[str, Array], begin: int
 ) -> None:
-    """Add the power of a segment, summed over rings of the k plane, and the values for its variance."""
+    """Add the power of a segment, summed over rings of the k plane, and keep Fourier lines of some nodes."""
     cells, half = first["f"].shape
-    power = np.zeros((2, table.k.size, half + 1))
+    power = sums.setdefault("f", np.zeros((2, table.k.size, half + 1)))
     transform = TimeTransform(half, first["f"].dtype)
     for slab in slabs(cells):
         lines = transform(first["f"][slab], second["f"][slab])
         start = table.start[slab.start : slab.stop + 1]
         kernels.ring_powers(lines, start, table.ring, table.weight, table.spread, power)
-    sums.setdefault("f", np.zeros_like(power))
-    accumulate(sums, "f", power, begin)
     keep_points(sums, "f", first["points"], second["points"], begin)
     if "nodes" in first:
-        sums[f"nodes from {begin:012d}"] = _powers_of_nodes(first["nodes"], second["nodes"])
+        sums["nodes"] = sums.get("nodes", 0) + _powers_of_nodes(first["nodes"], second["nodes"])
 
 
 @takes(a_field)
@@ -300,8 +297,7 @@ def komega(
     out = with_interval(energy, xr.DataArray(freedom["both"].T, dims=both))
     out["dof_omega"], out["dof_k"] = ("omega", freedom["omega"]), ("k", freedom["k"])
     if not welch.record.holes:
-        nodes = [power for name, power in summed.items() if name.startswith("nodes from ")]
-        out["E_nodes"] = ("omega", np.sum(nodes, axis=0) * welch.node_density)
+        out["E_nodes"] = ("omega", summed["nodes"] * welch.node_density)
     out = out.assign(welch.ring_variables).assign_coords(omega_coords(welch.omega) | k_coords(table.k))
     added = filled_density(welch.record, field)
     valid = xr.DataArray(welch.valid, dims=("omega", "k"))

@@ -26,7 +26,6 @@ from wavefield.waves.record import (
 
 DEFAULT_SEGMENT = 512  # steps: 25.6 s at 20 Hz
 MAIN_LOBE = 2  # lines or cells: half the width of a Hann window's main lobe; nearer ones share waves
-CORRELATED_CELLS = 1 + 2 * (4 / 9 + 1 / 36)  # along an axis of a spectrum under a Hann window
 
 CHANCE = 0.05  # of a truth outside of an interval, and of a level without a relation: the usual choice
 
@@ -62,11 +61,14 @@ def choose_segment(steps: int) -> int:
     return even
 
 
+def overlap_factor(segments: float) -> float:
+    """Variance of a mean over half-overlapping Hann segments, relative to independent ones (Welch 1967)."""
+    return 1 + 2 * (1 - 1 / segments) / 36
+
+
 def degrees_of_freedom(segments: float) -> float:
-    """Degrees of freedom of a spectral cell from half-overlapping Hann segments.
-    Neighbouring segments have a squared correlation of 1/36 (Welch 1967).
-    """
-    return 2 * segments / (1 + (1 - 1 / segments) / 18)
+    """Degrees of freedom of a spectral cell from half-overlapping Hann segments."""
+    return 2 * segments / overlap_factor(segments)
 
 
 def effective_duration(segments: float, length: float) -> float:
@@ -311,7 +313,6 @@ MEANINGS = {"displacement": 2, "instantaneous": INSTANTANEOUS}  # over one step;
 # of what filled nodes add to a spectrum if their error is white: holes that stay for some steps add more to
 # the lower lines, up to twice as much
 MIN_OVER_FILLED = 4.0
-_NEAR = 3  # lines over which the spread over cells is averaged: the main lobe's
 
 
 def omega_coords(omega: Array) -> Coordinates:
@@ -427,8 +428,9 @@ class Welch:
         power, square = sums[0], sums[1]
         filled = power > 0
         spread = np.divide(self.count * square, power**2, out=np.zeros_like(power), where=filled)
-        weight = ndimage.uniform_filter1d(filled.astype(float), _NEAR, axis=-1, mode="nearest")
-        spread = ndimage.uniform_filter1d(spread, _NEAR, axis=-1, mode="nearest")
+        lobe = 2 * MAIN_LOBE - 1  # lines of a main lobe, over which the spread is averaged
+        weight = ndimage.uniform_filter1d(filled.astype(float), lobe, axis=-1, mode="nearest")
+        spread = ndimage.uniform_filter1d(spread, lobe, axis=-1, mode="nearest")
         # squares are averaged over segments first, so the number does not depend on K; what chance adds, 1 /
         # K, is taken off
         cells = np.divide(weight, spread, out=np.zeros_like(power), where=spread > 0) - 1 / self.count
