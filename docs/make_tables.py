@@ -35,11 +35,11 @@ QUALITY = {
     Quality.REJECTED_CORRELATION: "low correlation between images",
     Quality.REJECTED_EPS: "large epipolar error",
     Quality.REJECTED_NEIGHBOURS: "outlier among its neighbours",
-    Quality.REJECTED_RANGE: "outside the search range, or waves far above the sampled ones",
-    Quality.TWO_FRAME_MEAN: "z or a path from fewer than four frames",
+    Quality.REJECTED_RANGE: "outside the search range, or waves far higher than in the sample steps",
+    Quality.TWO_FRAME_MEAN: "z or the velocity comes from fewer than four frames",
     Quality.FEWER_CAMERAS: "one or more cameras left out",
-    Quality.MASKED: "masked, or hidden from the cameras by a mask",
-    Quality.WITHOUT_1: "first of the cube's `cameras` left out; next four bits: second to fifth",
+    Quality.MASKED: "masked, or hidden behind a mask",
+    Quality.WITHOUT_1: "first camera in `cameras` left out; the next four bits: second to fifth camera",
     Quality.WITHOUT_6: "sixth or a later camera left out",
 }
 STATUS = {
@@ -47,7 +47,7 @@ STATUS = {
     FrameStatus.DONE: "measured",
     FrameStatus.DONE_WITH_FAULTS: "measured, but a camera's frame is missing or few nodes are valid",
     FrameStatus.FAILED: "could not be measured; NaN",
-    FrameStatus.DISCONTINUOUS: "at or near a lost, doubled or late frame; NaN",
+    FrameStatus.DISCONTINUOUS: "at or near a lost, repeated or late frame; NaN",
 }
 
 

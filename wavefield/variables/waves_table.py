@@ -105,7 +105,7 @@ for _end, _text in (("", "E(k, omega)"), ("_k", "E(k)"), ("_omega", "E(omega)"))
     rows("spectra", _of_quantity, *_interval)
 _valid_k = (
     "where the measurement keeps at least half of the amplitude",
-    "spectra are corrected there; only with a gain; false for rise and nl",
+    "spectra are corrected there; only with a gain; false for `rise` and `nl`",
 )
 rows("spectra", ("quantity", "k"), ("valid_k", "1", *_valid_k), dtype="bool")
 rows(
@@ -142,14 +142,14 @@ rows(
         "E_kxky",
         _density_units("k", "k", "omega"),
         "E(ky, kx) of z and w",
-        "at chosen frequencies, the paper's 2.8 Hz among them",
+        "at chosen frequencies, one of them the 2.8 Hz of Aubourg et al.",
     ),
 )
 
 # ---- /coherence ----
 rows("coherence", ("k",), ("valid", "1", "where the waves exceed the noise"), dtype="bool")
 for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
-    _common = "complex; C of w and of nl add up to C of tot; real part: mean over both signs of omega"
+    _common = "complex, real part: mean over both signs of omega; those of `w` and `nl` add up to `tot`"
     rows(
         "coherence",
         ("term", *_dims),
@@ -159,7 +159,7 @@ for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
     )
     for _name, _text, _note in (
         ("gamma2", "coherence of z_t with the term, magnitude squared", ""),
-        ("samples", "effective independent samples", "fewer if both have their energy in the same few cells"),
+        ("samples", "effective independent samples", "fewer if both signals share a few cells (k, omega)"),
         ("level", "gamma2 that unrelated signals exceed in 5 % of cases", ""),
     ):
         rows("coherence", ("term", *_dims), (f"{_name}{_ending}", "1", _text, _note), family=_name)
@@ -187,17 +187,22 @@ register(*_rows(Path(__file__).with_name("wave_variables.txt").read_text(encodin
 
 # groups of the wave store, in order, with the description of each in the documentation
 GROUPS = {
-    "spectra": "z is taken at frame times; nl is (u - U) . grad z with the mean current U. `E` is integrated"
-    " over the angle of k; its azimuthal mean is E / (2 pi k coverage). `Ez` is the elevation spectrum by"
-    " each method, corrected for the response in time and, with a gain, in space.",
-    "coherence": "Coherence of the rate of rise z_t + U . grad z with w, with -(u - U) . grad z and with"
-    " their sum. `gamma2` is the squared coherence. For unrelated signals its mean is 1 / `samples`, and it"
-    " exceeds `level` in 5 % of cases.",
+    "spectra": "Here z is at frame times, not midway between"
+    " two frames. The quantity `nl` is the nonlinear term (u - U) . grad z, with the mean current U, and"
+    " `rise` is z_t + U . grad z. `E` is integrated over the direction of k. For the mean over directions,"
+    " divide it by 2 pi k `coverage`; `coverage` is the fraction of the ring of wavenumber k inside the"
+    " sampled plane. `Ez` contains one elevation spectrum per method (dimension `source`): `stereo`, `w`"
+    " (integrated w), `cross` (their cross spectrum) and `fusion` (their best combination). They are"
+    " corrected for the response in time and, with a gain, in space.",
+    "coherence": "The rate of rise z_t + U . grad z is compared with each `term`: `w`, `nl`"
+    " (-(u - U) . grad z) and their sum `tot`. `gamma2` is the squared coherence. For unrelated signals its"
+    " mean is 1 / `samples`, and it exceeds `level` in 5 % of cases.",
     "kinematics": "The kinematic condition z_t = w - u . grad z at sampled steps.",
     "statistics": "Distributions and moments of z and of the displacements over one step.",
-    "dispersion": "If no current could be fitted, only the theory is stored.",
+    "dispersion": "Without a fitted current, this group contains only the theory.",
     "fusion": "Noise of stereo z and of integrated w, and their best combination.",
-    "direction": "Directions of the energy on the dispersion relation; NaN if it is below the noise."
-    " wavespectra reads it: `xarray.open_dataset(store, engine='zarr', group='direction').spec`.",
+    "direction": "Directions of the waves on the dispersion relation; NaN where these waves are below the"
+    " noise. The package wavespectra reads this group:"
+    " `xarray.open_dataset(store, engine='zarr', group='direction').spec`.",
     "higher_order": "Missing if the record has fewer than four segments.",
 }
