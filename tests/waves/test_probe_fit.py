@@ -36,7 +36,7 @@ def problems(z, probes):
 def test_a_probe_that_fits_raises_no_remark(z):
     kinds, fit = problems(z, probe(z))
     assert kinds == []
-    assert fit.peak_correlation > 0.97
+    assert fit.at_zero_lag > 0.97
     assert abs(fit.lag) < 0.005
     assert fit.gain == pytest.approx(1.0, abs=0.05)
 

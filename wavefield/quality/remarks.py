@@ -284,7 +284,7 @@ def remark_on_probes(
     z = cube.z.isel(time=slice(first, first + MAX_PROBE_STEPS), y=every, x=every).load()
     dt = float(z["time"][1] - z["time"][0]) if len(z) > 1 else 1.0
     for fit in fit_probes(z, experiment.read_probes()):
-        values = {"correlation": fit.peak_correlation, "best": fit.best, "lag": fit.lag, "gain": fit.gain}
+        values = {"correlation": fit.at_zero_lag, "best": fit.best, "lag": fit.lag, "gain": fit.gain}
         for found, remedy in fit.problems(dt):
             means = "The probe and the measured elevation contradict each other"
             yield Remark(f"probe {fit.name}", "probe", "remark", found, means, remedy, values)

@@ -33,16 +33,16 @@ from wavefield.waves.welch import Welch, k_coords
 
 Array = NDArray[Any]
 
-MIN_POINTS = 6  # three times the unknowns
-OUTLIER_STDS = 3.0  # standard deviations of the points: larger misfits count less
-MAX_CONDITION = 1e4  # of the normal equations of a current: those of waves of one direction exceed it
-TENSION_ERROR = 0.1  # of the surface tension: its standard uncertainty; a film lowers that of clean water
-BAND_WIDTH = 0.5  # Hz, over which points are compared with theory
+MIN_POINTS = 6  # chosen: three times the number of unknowns
+OUTLIER_STDS = 3.0  # chosen: misfit, in standard deviations, beyond which points get less weight
+MAX_CONDITION = 1e4  # condition number of the normal equations; waves of a single direction exceed it
+TENSION_ERROR = 0.1  # chosen: relative standard uncertainty of the surface tension, which films lower
+BAND_WIDTH = 0.5  # Hz, chosen: width of the bands in which the points are compared with theory
 
 
 def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Array], Array]:
-    """Misfit of the points in standard deviations, (points,), for a current.
-    Errors in k become errors in omega by the slope of the relation for the current `around`.
+    """Function that returns the misfits in omega, in standard deviations, (points,), for a current.
+    The slope of the relation for the current `around` converts errors in k to errors in omega.
     """
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
     free, speed = dispersion(points.k, *water), group_velocity(points.k, *water)
@@ -52,20 +52,20 @@ def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Ar
 
 
 def _outlier_limit(misfit: Array) -> float:
-    """Misfit beyond which points get less weight."""
+    """Misfit beyond which points get less weight, from the median misfit."""
     return OUTLIER_STDS * max(float(np.median(np.abs(misfit))) / 0.6745, 1e-9)
 
 
 def solve(points: RelationPoints, water: Water, start: Array) -> Array:
-    """The current of the points, (2,), m/s; outliers count less."""
+    """Current, (2,), m/s, by a robust least-squares fit to the points."""
     misfit = _misfit(points, water, start)
     result = least_squares(misfit, start, loss="soft_l1", f_scale=_outlier_limit(misfit(start)))
     return np.asarray(result.x)
 
 
 def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array:
-    """Covariance (2, 2) of the current, from the misfit of all points; NaN where they do not determine it.
-    Neighbouring points share their error, so half of them count.
+    """Covariance (2, 2) of the current, from the misfits; NaN if the points do not determine it.
+    Neighbouring points have common errors, so half of them count as independent.
     """
     misfit = _misfit(points, water, current)
     residual = misfit(current)
@@ -80,7 +80,7 @@ def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array
 
 
 def distance_from_relation(points: RelationPoints, water: Water, current: Array) -> Array:
-    """Distance of the points from the fitted relation in k, rad/m; to first order."""
+    """Distance in k of the points from the relation on a current, rad/m, to first order."""
     along = points.along(current)
     speed = group_velocity(points.k, *water)
     model = dispersion(points.k, *water) + points.k * along
@@ -88,10 +88,7 @@ def distance_from_relation(points: RelationPoints, water: Water, current: Array)
 
 
 def against_theory(points: RelationPoints, water: Water, current: Array) -> dict[str, Any]:
-    """Variables ``ridge_error`` and ``band_frequency``, Hz, (band,): points against theory by bands.
-    The error is the mean of k over the theory's k for that omega and direction, less 1, weighted as in the
-    fit.
-    """
+    """``ridge_error`` (band): weighted mean of (k - k_theory) / k in bands of ``band_frequency``, Hz."""
     distance = distance_from_relation(points, water, current)
     band = np.floor(points.omega / (2 * np.pi) / BAND_WIDTH)
     numbers, inverse = np.unique(band, return_inverse=True)
@@ -100,11 +97,11 @@ def against_theory(points: RelationPoints, water: Water, current: Array) -> dict
     return {"ridge_error": ("band", errors), "band_frequency": ("band", (numbers + 0.5) * BAND_WIDTH)}
 
 
-MAX_RELATIVE_DISTANCE = 0.1  # of k: points of waves lie within 3 % of the relation, of other energy 8 to 70 %
-MIN_CONTRAST = 1.5  # energy near the relation over that at other frequencies: noise has 0.9 to 1.2
-MAX_CURRENT_STD = 0.012  # m/s: more is of no use, and found where waves are blocked
-MAX_ROUNDS = 12  # in which the displacement by the windows is removed; at least two
-CONVERGED = 3e-4  # m/s: the rounds end at a smaller change
+MAX_RELATIVE_DISTANCE = 0.1  # relative to k: points of waves are within 3 % of the relation, others 8 to 70 %
+MIN_CONTRAST = 1.5  # energy near the relation relative to other frequencies; noise has 0.9 to 1.2
+MAX_CURRENT_STD = 0.012  # m/s, chosen: a less certain current is useless, and a sign of blocked waves
+MAX_ROUNDS = 12  # chosen: limit of the rounds that remove the displacement by the windows
+CONVERGED = 3e-4  # m/s, chosen: the rounds stop at a smaller change of the current
 
 
 @takes(plane_of("w"))
@@ -114,51 +111,52 @@ def fit_dispersion(
     *,
     gamma: float = GAMMA,
 ) -> xr.Dataset:
-    """Fit the current to the dispersion relation of E(ky, kx, omega).
+    """Fit the current to the dispersion relation of the waves in E(omega, ky, kx).
 
     Parameters
     ----------
     density : DataArray or Dataset
-        Spectrum (omega, ky, kx), best of w, which shows the relation most clearly, or the result of
-        `spectrum`; of a field (time, y, x) or of the w of a cube it is computed.
+        Spectrum E(omega, ky, kx), best of w; or the result of `spectrum`, a field over (time, y, x), or a
+        cube, of which the spectrum of w is computed. To restrict the fit to a band, give
+        ``E.sel(omega=slice(lowest, highest))``. Waves longer than two fifths of the shorter side of the
+        rectangle are never used.
     depth : float
-        Depth of the water, m; by default that of the cube, or deep. It is kept fixed: waves this
+        Depth of the water, m; by default that of the cube, or deep. It is not fitted, because waves this
         short do not determine it.
     gamma : float
-        Surface tension over density, m3/s2; by default that of the cube, or of clean water. It is kept
-        fixed, too.
+        Surface tension over density, m3/s2; by default that of the cube, or of clean water. It is not fitted.
 
     Returns
     -------
     Dataset
-        The points: ``ridge_k``, ``ridge_omega``, ``ridge_angle`` (point). The fit:
-        ``current_x``, ``current_y`` (m/s) and their ``_std``; ``ridge_fraction``, the fraction of the
-        variance near the relation; ``ridge_error`` (band), k of the points against the theory with the fitted
-        current, relative; ``depth``.
+        ``current_x``, ``current_y`` (m/s) and their standard uncertainties ``_std``; ``ridge_k`` (rad/m),
+        ``ridge_omega`` (rad/s) and ``ridge_angle`` (rad), the measured points of the relation, (point);
+        ``ridge_fraction``, the fraction of the variance near the relation; ``ridge_error`` (band), the mean
+        relative difference of k from the theory with the fitted current, in bands of ``band_frequency``, Hz;
+        ``depth``, m.
 
     Raises
     ------
     CubeError
-        If the band has too few points, they lie on the relation of no current, or the energy near the
-        relation hardly exceeds that of the same wave vectors at other frequencies (noise has a best current,
-        too); or if the standard uncertainty of the current exceeds 12 mm/s.
+        If there are too few points, they are not on the dispersion relation of any current, the energy near
+        the relation hardly exceeds that of the same wave vectors at other frequencies, or the standard
+        uncertainty of the current exceeds 12 mm/s.
 
     Notes
     -----
-    The fit starts from the current whose relation holds most energy (`scan_current`). The points are
-    centroids in k at fixed omega in sectors of angle, in a window that is centred on the fit in each round;
-    centroids in omega at fixed k would be biased by up to 8 %. The noise (`noise_level`) is subtracted
-    without clipping, so that it does not move centroids to the middle of the window. The weight of a point is
-    its inverse variance, from the energies of the cells in its window, the signal-to-noise ratio, leakage
-    from stronger sectors and 0.3 of its displacement by the windows. Points without a signal as large as the
-    noise are left out. The displacement by the spectral windows
-    (leakage along a falling spectrum and from strong directions into weak ones, the curvature of the
-    relation) is that of simulated free waves of the measured energy on the fitted relation
-    (`windowed_waves`); it is subtracted in rounds until the current converges.
+    The relation is omega = sqrt((g k + gamma k^3) tanh k h) + k . U. The fit starts from the current U whose
+    relation contains most energy. Points are centroids in k of the energy above the noise, at each frequency
+    and in 24 sectors of direction, in a window around the fitted relation. (Centroids in omega at fixed k
+    would be biased by up to 8 %.) Points with a signal-to-noise ratio below 1 are left out. The others are
+    weighted by their inverse variance, which includes leakage from stronger sectors.
 
-    The uncertainty is that of least squares, from the misfit of all points, increased where the contrast of
-    the relation is low. Added in quadrature are the changes of the current with three tenths of the
-    displacement by the windows left, with a tenth more surface tension, and in the last round.
+    Hann windows displace the centroids, by leakage and by the curvature of the relation. This displacement is
+    simulated with free waves of the measured energy on the fitted relation, and subtracted. The fit is
+    repeated until the current changes by less than 0.3 mm/s.
+
+    The uncertainty is that of least squares, from the misfits of the points, increased if the contrast of the
+    relation is low. The changes of the current with 30 % of the displacement left, with 10 % more surface
+    tension, and in the last round are added in quadrature.
 
     Examples
     --------
@@ -201,7 +199,7 @@ def fit_dispersion(
 
     by_leakage = solve(windows.removed_from(measured, 1 - LEAKAGE_ERROR), water, fit) - fit
     by_tension = solve(points, (depth, (1 + TENSION_ERROR) * gamma), fit) - fit
-    # 1 / contrast of the energy in the points is noise
+    # the fraction 1 / contrast of the energy near the relation is noise
     std = np.sqrt(np.diag(covariance_of(points, water, fit))) / (1 - 1 / contrast_of_fit)
     std = np.sqrt(std**2 + by_leakage**2 + by_tension**2 + change**2)
     _refuse_uncertain(float(np.hypot(*std)), limits)
@@ -221,7 +219,7 @@ def fit_dispersion(
 
 
 def _between(limits: tuple[float, float]) -> str:
-    """The frequency limits, rad/s, as text for a message."""
+    """Describe two frequencies, rad/s, in Hz, for messages."""
     return f"between {limits[0] / (2 * np.pi):.2g} and {limits[1] / (2 * np.pi):.2g} Hz"
 
 
@@ -238,7 +236,7 @@ def _check_fit(
     """Contrast of the fitted relation; raises CubeError if the fit does not describe the waves."""
     between = _between(limits)
     best = f"{fit[0]:.2f}, {fit[1]:.2f} m/s"
-    # a window spreads a wave over more than a cell of the k plane: in a small field that distance is no error
+    # windows spread a wave over more than a cell of the k plane: for long waves, that is not an error
     least_k = spectrum.plane.cell / MAX_RELATIVE_DISTANCE
     relative = distance_from_relation(points, spectrum.water, fit) / np.maximum(points.k, least_k)
     distance = float(np.sqrt(np.average(relative**2, weights=1 / points.k_std**2)))
@@ -252,13 +250,14 @@ def _check_fit(
     contrast_of_fit = contrast(spectrum, lines, fit)
     if contrast_of_fit < MIN_CONTRAST:
         raise CubeError(
-            f"no dispersion relation was found {between}: the best one holds {contrast_of_fit:.2f} times the"
-            " energy of the same wave vectors at other frequencies, where noise has 1"
+            f"no dispersion relation was found {between}: the best one contains {contrast_of_fit:.2f} times"
+            " the energy of the same wave vectors at other frequencies (noise: 1)"
         )
     return contrast_of_fit
 
 
 def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
+    """Raise CubeError if the standard uncertainty of the current, m/s, is too large."""
     if std <= MAX_CURRENT_STD:
         return
     reason = f"determine the current to {std:.2f} m/s only"
@@ -268,7 +267,7 @@ def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
 
 
 def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float) -> xr.Dataset:
-    """Group `dispersion`: the theory over k, rad/m, and the fit or the reason for its refusal."""
+    """Dispersion relation of still water over k, rad/m, with the fit, or the reason why it was refused."""
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
         out = fit_dispersion(density, depth, gamma=gamma)
@@ -277,17 +276,19 @@ def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float
     return annotate(out.assign(theory.data_vars).assign_coords(theory.coords), "dispersion")
 
 
-def _product(density: xr.DataArray, welch: Welch, depth: float, gamma: float) -> xr.Dataset:
+def _dispersion_fit(density: xr.DataArray, welch: Welch, depth: float, gamma: float) -> xr.Dataset:
+    """As `dispersion_group`, from the inputs of an analysis."""
     return dispersion_group(density, welch.table.k, depth, gamma)
 
 
-def _noted(fit: xr.Dataset) -> xr.Dataset | Noted:
+def _dispersion(fit: xr.Dataset) -> xr.Dataset | Noted:
+    """Group `dispersion` of an analysis, with a note if the fit was refused."""
     if "refused" not in fit.attrs:
         return fit
     return Noted(fit, [f"The dispersion relation was not fitted: {fit.attrs['refused']}."])
 
 
 register(
-    WaveProduct("dispersion_fit", ("density_w", "welch", "depth", "gamma"), _product, cost=3),
-    WaveProduct("dispersion", ("dispersion_fit",), _noted, group="dispersion"),
+    WaveProduct("dispersion_fit", ("density_w", "welch", "depth", "gamma"), _dispersion_fit, cost=3),
+    WaveProduct("dispersion", ("dispersion_fit",), _dispersion, group="dispersion"),
 )

@@ -1,6 +1,6 @@
-"""Points of the measured dispersion relation: centroids in k on each line, in sectors of direction.
+"""Measured points of the dispersion relation: centroids in k at each frequency, in sectors of direction.
 
-`current` is everywhere an array (2,), along x and y, m/s.
+A line is one frequency of a spectrum. The argument `current` is always an array (2,), along x and y, in m/s.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -19,35 +19,35 @@ from wavefield.waves.welch import REACH, hann_power, richardson_lucy
 Array = NDArray[Any]
 Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
 
-MIN_CELLS_FROM_ZERO = 2.5  # cells of the k plane: nearer to zero the window mixes waves k and -k
-SHORTEST_WAVES = 0.8  # of the grid's largest k: shorter waves are weak, and their sectors incomplete
-# of the mean energy of a cell: without it, what Hann windows leak off the relation of noise-free waves counts
-# as waves. Tuned on seas that end at 2.5 to 6 Hz, a tenth of it refuses some of them
+MIN_CELLS_FROM_ZERO = 2.5  # smallest k, in cells of the k plane: below, the window mixes waves k and -k
+SHORTEST_WAVES = 0.8  # largest k, relative to that of the grid: shorter waves are weak, sectors incomplete
+# Least noise, relative to the mean energy of a cell: in noise-free seas, leakage would count as waves. Tuned
+# on seas that end at 2.5 to 6 Hz; a tenth of it refuses some of them
 LEAST_NOISE = 1e-4
-RING_CELLS = 1.5  # width of a ring of wavenumbers
+RING_CELLS = 1.5  # chosen: width, in cells, of the rings in which the noise is averaged
 
 
 @dataclass(frozen=True)
 class WavenumberPlane:
-    """The cells of the k plane, flattened."""
+    """Cells of the k plane, as one-dimensional arrays."""
 
     kx: Array  # (cells,), rad/m
     ky: Array
     k: Array
     angle: Array
     cell: float  # larger side of a cell, rad/m
-    spread: float  # variance along k that the window lends to a single wave, (rad/m)^2
-    nyquist: float  # along the axis with the wider nodes, rad/m
+    spread: float  # variance of k by which the window broadens a single wave, (rad/m)^2
+    nyquist: float  # smaller Nyquist wavenumber of the two axes, rad/m
     axes: tuple[Array, Array]  # ky and kx of the grid
 
     @classmethod
     def of(cls, density: xr.DataArray) -> "WavenumberPlane":
-        """The plane of E(omega, ky, kx)."""
+        """Return the k plane of a spectrum E(omega, ky, kx)."""
         axes = density["ky"].values, density["kx"].values
         ky, kx = np.meshgrid(*axes, indexing="ij")
         cells = [float(axis[1] - axis[0]) for axis in axes]
-        # second moment of a Hann line |W|^2 (weights 1, 4, 1 over 6) is a third of a cell squared; across the
-        # wave vector it lengthens |k| on average by spread / 2k
+        # the Hann window broadens a wave with weights 1, 4, 1, whose variance is a third of a cell squared;
+        # across the wave vector, this increases |k| by spread / 2k on average
         spread = float(np.mean(np.square(cells))) / 3
         k, angle = np.hypot(kx, ky).ravel(), np.arctan2(ky, kx).ravel()
         nyquist = min(abs(float(axis.min())) for axis in axes)
@@ -56,7 +56,7 @@ class WavenumberPlane:
 
 @dataclass(frozen=True)
 class PlaneSpectrum:
-    """Energy and noise of frequency lines over the cells of the k plane."""
+    """Energy and noise of a spectrum, by line and cell of the k plane."""
 
     omega: Array  # (lines,), rad/s
     energy: Array  # (lines, cells)
@@ -66,20 +66,20 @@ class PlaneSpectrum:
 
     @classmethod
     def of(cls, density: xr.DataArray, water: Water) -> "PlaneSpectrum":
-        """The spectrum E(omega, ky, kx) with the level of its noise."""
+        """Return a spectrum E(omega, ky, kx) with its estimated noise."""
         omega, plane = density["omega"].values, WavenumberPlane.of(density)
         energy = density.values.reshape(omega.size, -1)
         least = np.float32(LEAST_NOISE * energy.mean(dtype=float))
         return cls(omega, energy, np.maximum(noise_level(energy, plane), least), plane, water)
 
     def on_lines(self, chosen: Array) -> "PlaneSpectrum":
-        """The spectrum on selected lines."""
+        """Return the spectrum on some lines."""
         return replace(self, omega=self.omega[chosen], energy=self.energy[chosen], noise=self.noise[chosen])
 
 
 def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
-    """Noise of the spectrum, (lines, cells), as a product of a function of omega and one of k.
-    Errors are independent in time and smooth over a matching window in space, so their spectrum is a product.
+    """Noise of a spectrum, (lines, cells), as a function of omega times a function of |k|.
+    Noise is independent in time and correlated over a matching window in space, so its spectrum factorises.
     """
     outer = plane.k > SHORTEST_WAVES * plane.nyquist
     if not outer.any():
@@ -87,7 +87,7 @@ def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
     along_omega = np.median(energy[:, outer], axis=1)
     ring = np.floor(plane.k / (RING_CELLS * plane.cell)).astype(int)
     ring = np.minimum(ring, ring[outer].min())  # the shortest waves are one ring
-    # the mean of a ring in units of that, over all lines, of which free waves are on few
+    # mean of each ring relative to that, robust against the few lines with free waves
     units = np.where(along_omega > 0, along_omega, np.inf)[:, None]
     order = np.argsort(ring, kind="stable")
     edges = np.searchsorted(ring[order], np.arange(ring.max() + 2))
@@ -106,17 +106,16 @@ def _mean_of_noise(values: Array) -> float:
     return float(middle + std**2 / (3 * middle)) if middle > 0 else 0.0
 
 
-MAX_SPEED, SPEED_STEP = 0.8, 0.02  # m/s: that of flumes; what a fit corrects by itself
-# of direction, of a fit and of `directions`, 15 degrees each: narrower ones hold too few cells of a ring, and
-# show the rectangle by 2 % in an isotropic sea
+MAX_SPEED, SPEED_STEP = 0.8, 0.02  # m/s, chosen: largest current in flumes; error that the fit corrects
+# Sectors of direction, 15 degrees each. Narrower ones contain too few cells of a ring: an isotropic sea then
+# appears anisotropic by 2 %
 SECTORS = 24
-VOTING_SECTORS = 2 * SECTORS  # cells vote one by one
+VOTING_SECTORS = 2 * SECTORS  # finer, because single cells vote
 
 
 def scan_current(spectrum: PlaneSpectrum) -> Array:
-    """Current (2,), to 0.02 m/s, whose dispersion relation holds the most energy: the start of the fit.
-    Each cell votes for (omega -+ sigma(k)) / k along its k; a current U shows in direction theta as
-    U cos(theta - phi).
+    """Current (2,), to 0.02 m/s, whose dispersion relation contains the most energy, by a Hough transform.
+    Each cell votes for the current along its k, (omega - sigma(k)) / k or (omega + sigma(k)) / k.
     """
     plane, omega = spectrum.plane, spectrum.omega
     used = plane.k > MIN_CELLS_FROM_ZERO * plane.cell
@@ -125,9 +124,9 @@ def scan_current(spectrum: PlaneSpectrum) -> Array:
     sector = np.rint(plane.angle[used] / (2 * np.pi) * VOTING_SECTORS).astype(int) % VOTING_SECTORS
     bins = round(2 * MAX_SPEED / SPEED_STEP) + 1
     histogram = np.zeros(VOTING_SECTORS * bins)
-    # omega + sigma: waves that a current carries backwards
+    # omega + sigma is for waves that the current carries backwards
     sigma = dispersion(k, *spectrum.water)
-    # energy above the noise, each line over its total, and times k: short waves determine the current better
+    # a vote is the energy above the noise, relative to its line, times k: short waves determine U better
     for line_omega, energy, noise in zip(omega, spectrum.energy, spectrum.noise):
         weight = np.maximum(energy[used] - 3 * noise[used], 0.0)
         total = weight.sum() + noise[used].sum()
@@ -152,7 +151,7 @@ def scan_current(spectrum: PlaneSpectrum) -> Array:
 
 
 def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
-    """Whether cells lie within two cells in k and two lines in omega of the relation, (lines, cells)."""
+    """Whether a point is within two cells in k and two lines in omega of the relation, (lines, cells)."""
     omega, plane = spectrum.omega, spectrum.plane
     free = dispersion(plane.k, *spectrum.water) + current[0] * plane.kx + current[1] * plane.ky
     slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), *spectrum.water))
@@ -162,7 +161,7 @@ def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
 
 
 def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
-    """Energy near the relation, relative to that if the energy of each cell were spread over all lines."""
+    """Energy near the relation over that expected from the energy of the same cells at other lines."""
     near = _near_relation(spectrum, current)[lines]
     near[:, spectrum.plane.k < MIN_CELLS_FROM_ZERO * spectrum.plane.cell] = False
     energy = spectrum.energy[lines]
@@ -176,21 +175,19 @@ def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
 
 
 def fraction(spectrum: PlaneSpectrum, current: Array) -> float:
-    """Fraction of the energy that lies near the relation."""
+    """Fraction of the energy near the relation."""
     near = _near_relation(spectrum, current)
     total = float(spectrum.energy.sum(dtype=float))
     return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
 
 
-WAVES_PER_AXIS = 2  # in a cell of the k plane: one bends the relation of the longest waves by 4 %, not 2 %
-ROUNDS = 8  # in which the energy of the waves is adjusted: four leave narrow seas too wide
-FLOOR = 1e-9  # of the strongest cell: weaker ones are left out
+WAVES_PER_AXIS = 2  # simulated waves per cell and axis; a single one bends the relation by 4 %
+ROUNDS = 8  # rounds that adjust the energy of these waves; after four, narrow seas are still too wide
+FLOOR = 1e-9  # chosen: cells with less energy, relative to the strongest, have no waves
 
 
 def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
-    """Spectrum (lines, cells) that Hann windows make of free waves on the relation of the current, with the
-    measured energy.
-    """
+    """Spectrum (lines, cells) of simulated free waves of the measured energy, as Hann windows broaden it."""
     near, ky, kx = _near_relation(spectrum, current), *spectrum.plane.axes
     shape = spectrum.omega.size, ky.size, kx.size
 
@@ -198,9 +195,8 @@ def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
         return np.asarray(np.where(near, np.maximum(energy, 0.0), 0.0).sum(axis=0).reshape(shape[1:]))
 
     measured = on_relation(spectrum.energy - spectrum.noise)
-    # the energy of four waves a cell is adjusted in rounds of `richardson_lucy` until each cell shows what
-    # was measured there: a sea that is left too wide would hide how far the windows reach from its strong
-    # directions into the weak ones
+    # the energies of four waves per cell are deconvolved with `richardson_lucy`: a sea that is too wide would
+    # have too little leakage from strong into weak directions
     offsets = (np.arange(WAVES_PER_AXIS) + 0.5) / WAVES_PER_AXIS - 0.5
     rows, columns = np.indices(shape[1:])
     places = np.array([(rows + a, columns + b) for a in offsets for b in offsets])
@@ -235,27 +231,27 @@ def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
     return spread(power)
 
 
-# half width of the window around the relation: relative to k, for a start that is off by a tenth of the phase
-# velocity; and in cells, of which a Hann window spreads a wave over two on either side
+# half width of the window around the relation: relative to k, for a start that is wrong by a tenth of the
+# phase velocity; and in cells, because a Hann window spreads a wave over two cells on either side
 HALF_WIDTH, MIN_HALF_WIDTH = 0.22, 2.2
-MIN_CELLS = 5  # in the window of a centroid: as many as a Hann window spreads a wave over
-# of the free group velocity: a current that slows waves more smears them over all k
+MIN_CELLS = 5  # in the window of a centroid: a Hann window spreads a wave over five
+# smallest group velocity on a current, relative to still water: slower waves are smeared over all k
 MIN_SPEED_ON_CURRENT = 0.5
-CELL_VARIANCE = 0.3  # relative variance of a cell's energy, with its neighbours' share
-CENTROID_ERROR = 0.03  # of a cell of the k plane, for the strongest sector; more in weaker ones, from leakage
-LEAKAGE_ERROR = 0.3  # of the displacement of centroids by the windows: of each, and of all alike
-MAX_DISPLACEMENT = 0.3  # cells of the k plane: points that the windows displace further are all leakage
+CELL_VARIANCE = 0.3  # relative variance of a cell's energy, with the correlation of its neighbours
+CENTROID_ERROR = 0.03  # error, in cells of k, in the strongest sector; leakage adds to it in weaker ones
+LEAKAGE_ERROR = 0.3  # chosen: relative error of the simulated displacement by the windows
+MAX_DISPLACEMENT = 0.3  # chosen, in cells of k: points that are displaced further contain only leakage
 
 
 @dataclass(frozen=True)
 class RelationPoints:
-    """Centroids in k, one per line and sector; all fields are (points,)."""
+    """Centroids in k, one per line and sector; all arrays are (points,)."""
 
     omega: Array  # rad/s
     k: Array  # rad/m
     angle: Array
     energy: Array  # above the noise
-    key: Array  # number of the line and sector
+    key: Array  # unique number of the line and sector
     k_std: Array  # rad/m
     signal_to_noise: Array
 
@@ -266,7 +262,7 @@ class RelationPoints:
         return RelationPoints(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def along(self, current: Array) -> Array:
-        """Current along the wave vector, (points,), m/s."""
+        """Component of the current along the wave vector, (points,), m/s."""
         return np.asarray(current[0] * np.cos(self.angle) + current[1] * np.sin(self.angle))
 
 
@@ -281,7 +277,7 @@ class Sector:
 
 
 def sectors_of(plane: WavenumberPlane, count: int) -> list[Sector]:
-    """The plane cut into sectors of equal width."""
+    """Cut the k plane into sectors of equal width."""
     out = []
     half_width = np.pi / count
     by_k = np.argsort(plane.k, kind="stable")
@@ -294,7 +290,7 @@ def sectors_of(plane: WavenumberPlane, count: int) -> list[Sector]:
 
 
 def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) -> RelationPoints:
-    """Centroids in k of the energy above the noise, in a window around the relation of the current."""
+    """Centroids in k of the energy above the noise, in a window around the relation on a current."""
     plane, omega, water = spectrum.plane, spectrum.omega, spectrum.water
     k_table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
     free = dispersion(k_table, *water)
@@ -316,7 +312,7 @@ def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) ->
             for part in (spectrum.energy, spectrum.noise)
         )
         by = np.array([np.ones(place.size), sector.k, *sector.heading])
-        # not a matrix product: that of BLAS may depend on the number of threads in the last bit
+        # einsum, because the last bit of a BLAS product may depend on the number of threads
         above = np.einsum("lc,ic->il", energy - noise, by)
         squares = np.einsum("lc,ic->il", energy**2, np.array([by[0], sector.k, sector.k**2]))
         sums = np.concatenate([above, squares, noise.sum(axis=1)[None]])
@@ -331,7 +327,7 @@ def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) ->
         signal_to_noise = weight / np.maximum(noise, 1e-9 * weight)
         angle = np.arctan2(sine, cosine)
         points = RelationPoints(omega[usable], k, angle, weight, key, k_std, signal_to_noise)
-        # waves about as long as the rectangle: the window's spread exceeds them
+        # k < 0 for waves about as long as the rectangle, whose correction exceeds k
         parts.append(points[(k > 0) & (np.abs(k - centres[usable]) < reach[usable])])
     names = [field.name for field in fields(RelationPoints)]
     points = RelationPoints(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
@@ -341,8 +337,8 @@ def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) ->
 
 
 def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:
-    """Wavenumber of each line on the relation omega = free(k) + k along; NaN if a current blocks the wave.
-    Against a current omega grows with k only while the group velocity `speed` exceeds the current.
+    """Wavenumber of each line on the relation omega = free(k) + k along; NaN if the current blocks it.
+    Against a current, omega grows with k only while the group velocity `speed` exceeds the current.
     """
     doppler = free + k * along
     blocked = speed + along < MIN_SPEED_ON_CURRENT * speed
@@ -353,7 +349,7 @@ def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: flo
 
 
 def _strongest_sector(points: RelationPoints) -> Array:
-    """Energy of the strongest sector on each point's line and the lines beside it, (points,)."""
+    """Energy of the strongest sector on each point's line and its two neighbours, (points,)."""
     if not len(points):
         return points.energy
     _, line = np.unique(points.omega, return_inverse=True)
@@ -366,8 +362,8 @@ def _strongest_sector(points: RelationPoints) -> Array:
 class WindowDisplacement:
     """Displacement of the centroids by the spectral windows."""
 
-    key: Array  # as of the points
-    k: Array  # rad/m
+    key: Array  # as in `RelationPoints`
+    k: Array  # displacement, rad/m
 
     @classmethod
     def measure(
@@ -377,8 +373,8 @@ class WindowDisplacement:
         sectors: list[Sector],
         current: Array,
     ) -> "WindowDisplacement":
-        """Displacements of the centroids of free waves on the relation of the current, by simulated windows.
-        Points displaced far are left out: beyond the end of a sea all energy is leakage. band is (lines,).
+        """Measure the displacement on simulated free waves, on the lines of `band` (lines,), a boolean array.
+        Points with a large displacement are left out: they are beyond the end of the sea, in leakage alone.
         """
         free_waves = windowed_waves(spectrum, current)[band]
         simulated = replace(
@@ -392,7 +388,7 @@ class WindowDisplacement:
         return cls(points.key[near], displacement[near])
 
     def removed_from(self, points: RelationPoints, part: float = 1.0) -> RelationPoints:
-        """The points corrected for their displacement, without points that have none."""
+        """Subtract `part` of the displacement from the points; leaves out points without a displacement."""
         _, measured, simulated = np.intersect1d(points.key, self.key, assume_unique=True, return_indices=True)
         points, displacement = points[measured], self.k[simulated]
         k_std = np.hypot(points.k_std, LEAKAGE_ERROR * displacement)

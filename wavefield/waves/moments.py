@@ -1,4 +1,4 @@
-"""Distributions and moments of the surface."""
+"""Distributions and moments of the elevation and the displacements, spectral peak and steepness."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -33,8 +33,8 @@ def relative_std(power: Array, dof: Array, overlap: Array) -> float:
 
 
 def moment_stds(energy: xr.DataArray, dof: Array, welch: Welch) -> dict[str, float]:
-    """Relative standard uncertainties of the variance and of the mean square slope of all nodes.
-    From E(omega, k) and the degrees of freedom of E(omega) of all nodes; all steps count equally.
+    """Relative standard uncertainties of the variance and of the mean square slope.
+    From E(omega, k) and the degrees of freedom `dof` (omega) of the mean of the spectra of all nodes.
     """
     energy = energy.fillna(0.0)
     longer = welch.record.steps_in_runs() * welch.record.dt / welch.duration
@@ -43,11 +43,15 @@ def moment_stds(energy: xr.DataArray, dof: Array, welch: Welch) -> dict[str, flo
     return {name: relative_std(power.values, dof * longer, overlap) for name, power in sums.items()}
 
 
-MIN_PERIODS = 10  # of the strongest wave: fewer do not separate it from its neighbours
+MIN_PERIODS = (
+    10  # chosen: peak periods of the shortest record in which the peak is separated from other waves
+)
 
 
 def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
-    """Statistics without spectral peak, steepness and height if the record holds too few peak periods.
+    """Drop the spectral peak, steepness and wave height, with a note, if the record has too few peak periods.
+
+    `seconds` is the duration of the record.
 
     Examples
     --------
@@ -70,8 +74,8 @@ def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
 
 
 def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tuple[float, float]]:
-    """Uncertainties as `moment_stds` for a field (time, y, x), and its peak frequency with std, rad/s.
-    NaN if the record is shorter than a segment; no peak if it holds fewer than ten peak periods.
+    """Uncertainties as in `moment_stds`, and the peak frequency with its standard uncertainty, rad/s.
+    All are NaN if the record is shorter than a segment; the peak is NaN in less than ten peak periods.
     """
     try:
         both = komega(z, record=record)
@@ -87,13 +91,12 @@ def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tup
 
 
 def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Array) -> tuple[float, float]:
-    """Frequency of the spectral peak by a parabola through three lines, rad/s, and its std.
-    The std is that of spectra drawn about the estimate with its degrees of freedom and the correlation of
-    lines.
+    """Frequency of the spectral peak, rad/s, by a parabola through three lines, and its uncertainty.
+    The uncertainty is from spectra drawn about the estimate, with its degrees of freedom.
     """
     measured = np.log(np.maximum(np.nan_to_num(energy), 1e-9 * np.nanmax(energy[valid])))
     white = np.random.default_rng(0).standard_normal((BOOTSTRAP_DRAWS, energy.size + 2))
-    # squared, (1/2, 1, 1/2) over its norm has the correlation of a Hann window's powers: 4/9, 1/36
+    # filtered noise with the correlations of the powers of a Hann window's lines, 4/9 and 1/36
     noise = ndimage.convolve1d(white, np.array([0.26, 1.0, 0.26]) / np.sqrt(1 + 2 * 0.26**2), axis=1)[:, 1:-1]
     drawn = measured + np.sqrt(2 / np.maximum(np.nan_to_num(dof, nan=1.0), 1)) * noise
     levels = np.vstack([measured, drawn])
@@ -105,7 +108,7 @@ def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Arr
 
 
 def with_stds(out: xr.Dataset, stds: dict[str, float]) -> xr.Dataset:
-    """Add the standard uncertainties of the significant height and of the slopes."""
+    """Add the standard uncertainties of the significant height and of the slopes, from relative ones."""
     parts = {}
     for name, kind, power in (
         ("significant_height", "variance", 0.5),
@@ -118,9 +121,7 @@ def with_stds(out: xr.Dataset, stds: dict[str, float]) -> xr.Dataset:
 
 
 def steepness_std(out: xr.Dataset, peak: float, depth: float, gamma: float) -> xr.Dataset:
-    """Add the standard uncertainties of peak wavenumber and steepness, from that of the peak frequency,
-    rad/s.
-    """
+    """Add standard uncertainties of peak frequency, wavenumber and steepness; `peak` is the first, rad/s."""
     k = float(out["peak_k"])
     k_std = peak / float(group_velocity(k, depth, gamma))
     relative = np.hypot(k_std / k, float(out["significant_height_std"] / out["significant_height"]))
@@ -131,14 +132,14 @@ def steepness_std(out: xr.Dataset, peak: float, depth: float, gamma: float) -> x
     )
 
 
-QUANTITIES = {"z": "z", "dx": "u", "dy": "v", "dz": "w"}  # displacements are velocity times dt
-REACH, BINS = 6.0, 120  # of the distributions, in standard deviations
-SAMPLED_STEPS = 8  # that fix the bins: off by a tenth, they are interpolated to those of all steps
+QUANTITIES = {"z": "z", "dx": "u", "dy": "v", "dz": "w"}  # displacements are velocities times dt
+REACH, BINS = 6.0, 120  # chosen: half width of the histograms in standard deviations, and number of bins
+SAMPLED_STEPS = 8  # steps for the rough bins, which are later interpolated; a scale wrong by a tenth suffices
 Scales = Mapping[str, tuple[float, float]]  # rough mean and standard deviation of each field
 
 
 def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation from a few steps, which fix the bins of the distributions."""
+    """Mean and standard deviation of each field at a few steps, for the bins of the histograms."""
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
     sampled = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, SAMPLED_STEPS).astype(int)})
@@ -153,7 +154,7 @@ def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict
 
 
 def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -> dict[str, Array]:
-    """Sums over time of powers of fields (steps, ny, nx) at each node, histograms, sums of squared slopes."""
+    """Sums of powers of fields (steps, ny, nx) at each node; histograms; sums of squared slopes."""
     out: dict[str, Array] = {}
     for name, values in fields.items():
         mean, std = scales[name]
@@ -169,8 +170,8 @@ def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -
 
 
 def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
-    """Moments from sums (4, nodes) over time of the powers of differences from a guess.
-    All but the mean and ``pdf_std`` are about each node's own mean in time: differences between these are
+    """Moments from sums (4, nodes) over time of powers of the differences from a guess of the mean.
+    All but the mean and ``pdf_std`` refer to each node's mean in time. Differences between these means are
     mostly errors of the calibration, not waves.
     """
     a1, a2, a3, a4 = powers / steps
@@ -190,7 +191,7 @@ def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
 
 def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, float]) -> Array:
     """Probability density over (value - mean) / std, (bins,), from counts in rough bins.
-    The cumulative count is interpolated, so only values beyond the last bin are lost.
+    Interpolates the cumulative count, so only values beyond the last bin are lost.
     """
     edges = np.linspace(-REACH, REACH, BINS + 1)
     if not moments["pdf_std"] > 0:
@@ -201,12 +202,13 @@ def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, floa
 
 
 def _bin_centres() -> Array:
+    """Centres of the bins, in standard deviations."""
     edges = np.linspace(-REACH, REACH, BINS + 1)
     return (edges[1:] + edges[:-1]) / 2
 
 
 def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
-    """Labelled statistics from sums over a record."""
+    """Labelled statistics from the sums over a record."""
     fields = {name: field for name, field in QUANTITIES.items() if f"powers {field}" in sums}
     rows: dict[str, list[Any]] = defaultdict(list)
     for name, field in fields.items():
@@ -240,27 +242,29 @@ def statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
     cube : Dataset
         z and, where present, u, v, w over (time, y, x), m and m/s.
     record : Record, optional
-        Rectangle and runs; found from the cube if not given.
+        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
 
     Returns
     -------
     Dataset
-        ``pdf`` (quantity, bin) and ``gaussian`` (bin); ``mean``, ``std``, ``skewness``, ``kurtosis``
-        (excess), ``count`` (quantity); ``significant_height``,
-        ``mean_square_slope``, ``slope_rms``, ``peak_frequency`` (Hz) and their ``_std``, standard
-        uncertainties, NaN where the record is shorter than a segment, or than ten periods for the peak.
-        Computed at once.
+        For the quantities z, dx, dy and dz, the displacements over a step: ``pdf`` (quantity, bin), over
+        (value - ``mean``) / ``pdf_std``, and the standard normal density ``gaussian`` (bin); ``mean``,
+        ``std`` (m), ``skewness``, ``kurtosis`` (excess), ``count``, and ``n_outliers``, the number of values
+        beyond six standard deviations (quantity).
+        ``significant_height`` (m), ``mean_square_slope``, ``slope_rms`` and ``peak_frequency`` (Hz) with
+        standard uncertainties ``_std``. The uncertainties are NaN if the record is shorter than a segment;
+        the peak is NaN in less than ten peak periods.
 
     Raises
     ------
     CubeError
-        If the cube has no z, or no full rectangle is left.
+        If the cube has no z, or no rectangle is fully measured.
 
     Notes
     -----
-    The slope is that of central differences of sixth order, which hold 0.99 of the amplitude of waves of six
-    nodes and 0.74 of three. Uncertainties follow from the degrees of freedom of the lines of E(omega) of the
-    elevation and their correlation.
+    The significant height is four standard deviations of z. Slopes are central differences of sixth order,
+    whose gain is 0.99 for waves of six nodes and 0.74 for three. The uncertainties follow from the degrees of
+    freedom of E(omega) of the elevation and the correlation of its lines.
 
     Examples
     --------
@@ -289,8 +293,8 @@ def statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
-    """Add the spectral peak, between the lines, and the steepness."""
-    stereo = fused.sel(source="stereo")  # integrated w leaves out the lowest lines, which may hold the peak
+    """Add peak frequency (Hz), peak wavenumber (rad/m) and steepness, with their uncertainties."""
+    stereo = fused.sel(source="stereo")  # integrated w has no lowest lines, in which the peak may be
     lines = inner(fused.sizes["omega"])
     peak, std = peak_and_std(stereo["Ez"].values, lines, stereo["dof_Ez"].values, fused["omega"].values)
     k_peak = float(wavenumber(peak, depth, gamma))
@@ -300,6 +304,7 @@ def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma
 
 
 def _moments(sums: Mapping[str, Array], scales: Scales, welch: Welch) -> xr.Dataset:
+    """Product `moments` of an analysis: the statistics without uncertainties."""
     return label(sums, scales, welch.record.dt)
 
 
@@ -311,14 +316,15 @@ def _statistics_group(
     depth: float,
     gamma: float,
 ) -> Noted:
+    """Group `statistics` of an analysis, with a note on outliers."""
     notes = []
     outliers = zip(moments["quantity"].values, moments["n_outliers"].values)
     found = {str(q): int(n) for q, n in outliers if n}
     if found:
         counts = ", ".join(f"{n} of {q}" for q, n in found.items())
         notes.append(
-            f"Values beyond six standard deviations: {counts}. A single outlier lifts the floor of its"
-            " spectra: check them before you use spectra decades below the peak."
+            f"Values beyond six standard deviations: {counts}. A single outlier raises the noise floor of"
+            " its spectra: check them before you use spectra decades below the peak."
         )
     z = spectra.sel(quantity="z", drop=True)
     stds = moment_stds(z["E"], dof_of_all_nodes(z["dof_omega"].values, welch), welch)

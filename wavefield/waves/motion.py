@@ -1,4 +1,4 @@
-"""Kinematics of the surface: slopes, the nonlinear term, the residual of z_t = w - u . grad z, vorticity."""
+"""Kinematics of the surface: slopes, nonlinear term, vorticity and the balance z_t = w - u . grad z."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -33,13 +33,13 @@ def slopes(z: Array, dy: float, dx: float) -> tuple[Array, Array]:
 def terms(
     fields: Mapping[str, Array], dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Array]:
-    """The `OUTPUTS`, each (..., ny, nx), from `FIELDS`; the nonlinear term is relative to a current, m/s."""
+    """`OUTPUTS`, each (..., ny, nx), from z, z_t, u, v, w; `current` is subtracted in the nonlinear term."""
     shape = fields["z"].shape
     z, z_t, u, v, w = (np.ascontiguousarray(fields[name]).reshape(-1, *shape[-2:]) for name in FIELDS)
     z_y, z_x = slopes(z, dy, dx)
     u_y, u_x = slopes(u, dy, dx)
     v_y, v_x = slopes(v, dy, dx)
-    # the linear part U . grad z belongs to the rate of rise in the frame that moves with the water
+    # U . grad z is linear in the waves: it is part of the rate of rise in a frame that moves with the water
     nonlinear = (u - z.dtype.type(current[0])) * z_x + (v - z.dtype.type(current[1])) * z_y
     out = (z_x, z_y, nonlinear, z_t - w + u * z_x + v * z_y, v_x - u_y, u_x + v_y)
     return {name: array.reshape(shape) for name, array in zip(OUTPUTS, out)}
@@ -54,15 +54,16 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
     cube : Dataset
         z, z_t, u, v, w over (time, y, x), m and m/s, at mid-time. Lazy input gives a lazy result.
     current : tuple of float, optional
-        Current U along x and y, m/s, that the nonlinear term is relative to; by default the mean of u and v
-        over the record.
+        Current U along x and y, m/s, which is subtracted from u in the nonlinear term; by default the mean of
+        u and v over the record.
 
     Returns
     -------
     Dataset
-        ``z_x``, ``z_y``, ``nonlinear`` ((u - U) . grad z), ``residual`` (z_t - w + u . grad z),
-        ``vorticity``, ``divergence`` (time, y, x); ``mean_current_x``, ``mean_current_y``, the U that was
-        used; ``nonlinear_ratio``, the rms of the nonlinear term over that of w.
+        Over (time, y, x): slopes ``z_x``, ``z_y``; ``nonlinear``, (u - U) . grad z, and ``residual``,
+        z_t - w + u . grad z, m/s; ``vorticity`` and ``divergence``, 1/s. ``mean_current_x`` and
+        ``mean_current_y``, the current U, m/s; ``nonlinear_ratio``, the rms of the nonlinear term over that
+        of w.
 
     Raises
     ------
@@ -71,16 +72,15 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
 
     Notes
     -----
-    U . grad z is linear: it belongs to the rate of rise in the frame that moves with the water.
-
-    Central differences of sixth order, of lower order in the three rows at each edge. With displacements over
-    one step in place of velocities at mid-time the residual keeps 17 % of the nonlinear term for waves of 1
-    to 5 Hz at 20 Hz. Vorticity and divergence are those of the surface water's
-    horizontal velocity as a function of (x, y).
+    The kinematic boundary condition is z_t = w - u . grad z. U . grad z is linear in the waves: it is part of
+    the rate of rise in a frame that moves with the water. Derivatives are central differences of sixth order,
+    of lower order in the three rows at each edge. Vorticity and divergence are v_x - u_y and u_x + v_y of the
+    velocity at the surface as a function of (x, y). With displacements over one step at 20 frames/s instead
+    of velocities at mid-time, the residual is 17 % of the nonlinear term for waves of 1 to 5 Hz.
 
     Examples
     --------
-    A plane tilted by 0.1 that water crosses at 0.2 m/s: w is all nonlinear term.
+    Water flows at 0.2 m/s along a steady plane of slope 0.1, so that w = u . grad z.
 
     >>> axes = {"time": np.arange(8) * 0.05, "y": np.arange(9) * 0.01, "x": np.arange(10) * 0.01}
     >>> flat, at = np.zeros((8, 9, 10)), ("time", "y", "x")
@@ -91,7 +91,7 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
     >>> print(f"{float(terms.nonlinear.mean()):.3f}, {float(abs(terms.residual).max()):.3f}")
     0.020, 0.000
 
-    Relative to the water that moves at 0.2 m/s there is none.
+    By default the current is subtracted, and no nonlinear term is left.
 
     >>> print(f"{float(kinematics(cube).nonlinear_ratio):.3f}")
     0.000
@@ -134,7 +134,7 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
 
 
 def kinematics_at(snapshot: xr.Dataset) -> xr.Dataset:
-    """Nonlinear term and residual of one step, as in `kinematics` but without subtracting the mean current.
+    """Nonlinear term and residual at one step, as `kinematics` returns them for zero current.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def balance(
     dx: float,
     current: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, float]:
-    """Rms, m/s and s-1, of the terms of the kinematic condition at step i."""
+    """Rms over the nodes at step i of the terms of the kinematic condition, m/s, and derivatives, 1/s."""
     step = {name: fields[name][i].astype(float) for name in FIELDS}
     parts = terms(step, dy, dx, current)
     values = {
@@ -174,7 +174,7 @@ def balance(
 
 
 def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
-    """Group `kinematics`: the balance over a record, from its values at some steps."""
+    """Group `kinematics`: the rms of the terms at some steps, and their ratios over the record."""
     time = cube["time"].values.astype(float)
     steps = np.array([row["step"] for row in rows], int)
     names = [name for name in rows[0] if name != "step"] if rows else []
@@ -192,7 +192,7 @@ def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
 
 
 def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float64]]) -> xr.Dataset:
-    """The record's mean velocity (2,) and its standard uncertainty, m/s, with the names of the wave store."""
+    """Group `kinematics`: the mean velocity (2,) of the record and its standard uncertainty, m/s."""
     out, (mean, std) = {}, mean_and_std
     for i, axis in enumerate(("x", "y")):
         out[f"mean_current_{axis}"] = ((), float(mean[i]))
@@ -201,7 +201,7 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Ratio of the nonlinear to the linear term, sqrt(E_nl / E_w), over k and omega, with 95 % intervals."""
+    """Group `kinematics`: sqrt(E_nl / E_w), nonlinear to linear term, over k and omega, with 95 % limits."""
     out: dict[str, Any] = {}
     w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))
     for axis in ("k", "omega"):

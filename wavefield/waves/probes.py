@@ -1,4 +1,4 @@
-"""Wave probes: their spectra on the frequencies of the cube's, and whether they fit the cube's elevation."""
+"""Wave probes: their elevation spectra, and a comparison with the elevation of the cube at their places."""
 
 import warnings
 from collections.abc import Iterator
@@ -26,26 +26,25 @@ from wavefield.waves.welch import (
 
 Array = NDArray[Any]
 
-# chosen: of narrow-banded waves fewer samples, or half of a record, agree at a wrong lag too
-MIN_OVERLAP, MIN_SAMPLES = 0.5, 40  # of the elevation's record at any lag; of either
-SAME_WAVES = 0.8  # correlation; noise of a fifth of the waves' variance leaves .9
-MIN_IMPROVEMENT = 0.1  # of the correlation by another lag
+# chosen: shorter overlaps of narrow-banded waves are correlated at wrong lags, too
+MIN_OVERLAP, MIN_SAMPLES = 0.5, 40  # overlap relative to the record of the cube; samples of either series
+SAME_WAVES = 0.8  # chosen: least correlation; noise of a fifth of the waves' variance leaves 0.9
+MIN_IMPROVEMENT = 0.1  # chosen: increase of the correlation above which another lag is reported
 _UNITS = {1e3: "mm", 1e2: "cm", 1e6: "um", 1e-3: "km"}
 
 
 @dataclass(frozen=True)
 class ProbeFit:
-    """How a probe fits the elevation at its place."""
+    """Comparison of a probe with the elevation of the cube at its place."""
 
-    name: str  # The probe
-    peak_correlation: float  # Correlation as clock and position are stated
-    best: float  # The same at the best lag; negative where the sign is turned
-    # Seconds by which the probe's clock is ahead: its event comes that much later by its own clock
-    lag: float
-    gain: float  # Standard deviation of the probe over that of the elevation
+    name: str  # of the probe
+    at_zero_lag: float  # correlation without a correction of the clock
+    best: float  # correlation of largest modulus at any lag; negative if the probe has the wrong sign
+    lag: float  # s by which the probe's clock is ahead
+    gain: float  # standard deviation of the probe over that of the elevation
 
     def problems(self, dt: float) -> Iterator[tuple[str, str]]:
-        """Faults of the probe, each with a remedy."""
+        """Yield the faults of the probe, each with a remedy."""
         if abs(self.best) < SAME_WAVES:
             yield (
                 f"it is unlike the elevation at its place at any time (correlation {self.best:.2f})",
@@ -54,7 +53,7 @@ class ProbeFit:
             return
         if self.best < 0:
             yield "it falls where the elevation rises", "Turn its sign (`factor: -1` in `probes:`)"
-        if abs(self.lag) > 0.5 * dt and abs(self.best) > abs(self.peak_correlation) + MIN_IMPROVEMENT:
+        if abs(self.lag) > 0.5 * dt and abs(self.best) > abs(self.at_zero_lag) + MIN_IMPROVEMENT:
             yield (
                 f"its clock is {abs(self.lag):.3f} s {'ahead of' if self.lag > 0 else 'behind'} the cameras'",
                 f"Add {-self.lag:.3f} to its times (`clock` in `probes:`), or correct the cameras' `offset`",
@@ -74,8 +73,20 @@ class ProbeFit:
 
 
 def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
-    """Compare every probe that lies in the field with the elevation z (time, y, x) there.
-    Normalised correlation at every lag that leaves half of the record; the peak is refined by a parabola.
+    """Compare every probe inside the field with the elevation z (time, y, x) at its place.
+
+    Parameters
+    ----------
+    z : DataArray, (time, y, x)
+        Elevation of a cube, m.
+    probes : Dataset
+        As `wavefield.read_probes` returns it.
+
+    Returns
+    -------
+    list of ProbeFit
+        One for each probe in the field with at least 40 samples: the correlation at zero lag and at the best
+        lag, at which at least half of the record overlaps; the lag, s, and the ratio of standard deviations.
     """
     time = z["time"].values.astype(float)
     if time.size < MIN_SAMPLES:
@@ -96,7 +107,7 @@ def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
 
 
 def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
-    """A probe at the steps of the cube; averaged over a step where it is quicker."""
+    """Resample a probe at the time step dt of the cube, averaged over a step if its rate is higher."""
     good = np.isfinite(values) & np.isfinite(clock)
     if good.sum() < MIN_SAMPLES:
         return None
@@ -109,25 +120,21 @@ def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
 
 
 def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: float) -> ProbeFit | None:
-    lags, peak_correlation = correlation(here, values, int(MIN_OVERLAP * time.size))
+    """Compare a probe (clock, values) with the elevation `here` at the times of the cube."""
+    lags, found = correlation(here, values, int(MIN_OVERLAP * time.size))
     if not lags.size:
         return None
-    shift = lags * dt + (clock[0] - time[0])  # by which the probe's time is later, event by event
-    k = int(np.argmax(np.abs(peak_correlation)))
+    shift = lags * dt + (clock[0] - time[0])  # s by which the probe's clock is ahead
+    k = int(np.argmax(np.abs(found)))
     inside = 0 < k < lags.size - 1
-    fine = float(parabola_vertex(*np.abs(peak_correlation[k - 1 : k + 2]))) if inside else 0.0
-    now = float(np.interp(0.0, shift, peak_correlation, left=0.0, right=0.0))
-    return ProbeFit(
-        name,
-        now,
-        float(peak_correlation[k]),
-        float(shift[k] + fine * dt),
-        float(values.std() / np.nanstd(here)),
-    )
+    fine = float(parabola_vertex(*np.abs(found[k - 1 : k + 2]))) if inside else 0.0
+    at_zero_lag = float(np.interp(0.0, shift, found, left=0.0, right=0.0))
+    lag, gain = float(shift[k] + fine * dt), float(values.std() / np.nanstd(here))
+    return ProbeFit(name, at_zero_lag, float(found[k]), lag, gain)
 
 
 def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array]:
-    """Lags of two series (n,), and their correlation there, normalised over the overlap."""
+    """Lags at which two series overlap in at least `least` samples, and their normalised correlation."""
     from scipy.signal import correlate, correlation_lags  # takes a second to import
 
     known = [np.isfinite(v).astype(float) for v in (a, b)]
@@ -147,36 +154,52 @@ def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array
     return correlation_lags(b.size, a.size)[enough], np.clip(found[enough], -1.0, 1.0)
 
 
-LONGEST_GAP = 3  # samples that are bridged: a glitch of the logger
+LONGEST_GAP = 3  # chosen: samples of a dropout of the logger that are interpolated
 
 
 def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, float]) -> xr.Dataset:
-    """Elevation spectra of probes over the time of a record, on the record's frequencies.
+    """Elevation spectra of probes during a record, at the frequencies of its spectra.
 
     Parameters
     ----------
     probes : Dataset
-        As `wavefield.read_probes` gives it; any rate of its own.
+        As `wavefield.read_probes` returns it, at any sampling rate.
     omega : DataArray, (omega,)
-        Frequencies of the record's spectra, rad/s: their step sets the segment.
+        Frequencies of the spectra of the cube, rad/s. Their step sets the duration of Welch segments.
     span : tuple of float
         First and last time of the record, s.
 
     Returns
     -------
     Dataset
-        ``Ez_probe`` (probe, omega), ``Ez_probes`` (omega), their mean, in m2 s rad-1, with ``dof_probes``,
-        ``low_probes``, ``high_probes``, ``valid_probes``.
+        ``Ez_probe`` (probe, omega), the spectrum of each probe, and ``Ez_probes`` (omega), their mean, in
+        m2 s rad-1; ``dof_probes``, the degrees of freedom of the mean; ``low_probes`` and ``high_probes``,
+        which times the mean are the limits of its 95 % interval; ``valid_probes`` (omega).
 
     Raises
     ------
     CubeError
-        If the probes were not recording while the cameras were, for one segment at least, or have uneven
-        steps.
+        If probes and record overlap in less than one segment, time steps of the probes are unequal, or
+        every probe has more than three missing values in a row.
 
     Notes
     -----
-    The mean has the interval of one probe: probes beside one another see the same waves.
+    Welch's method with Hann windows and linear detrending. The mean has the degrees of freedom of one probe,
+    because neighbouring probes measure the same waves. Incomplete probes are left out with a warning.
+
+    Examples
+    --------
+    A probe that records a wave of 1 cm amplitude at 100 Hz.
+
+    >>> t, omega = np.arange(2000) * 0.01, np.arange(65) * 2 * np.pi / 6.4
+    >>> z = 0.01 * np.cos(omega[8] * t)
+    >>> probes = xr.Dataset(
+    ...     {"elevation": (("probe", "time"), z[None])},
+    ...     {"probe": ["A"], "time": t, "probe_x": ("probe", [0.0]), "probe_y": ("probe", [0.0])},
+    ... )
+    >>> Ez = probe_spectra(probes, xr.DataArray(omega, dims="omega"), (0.0, 19.99)).Ez_probes
+    >>> print(f"{float(Ez.sum() * omega[1] / (0.01**2 / 2)):.2f}")
+    1.00
     """
     target = omega.values
     duration = 2 * np.pi / float(omega[1] - omega[0])
@@ -196,7 +219,7 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
             stacklevel=2,
         )
     own, density, count = _density(values[usable], rate, duration)
-    # the frequencies agree where the rates divide; else straight lines between them
+    # interpolation does nothing if the sampling rates are multiples of each other
     on_grid = np.full((usable.size, target.size), np.nan)
     on_grid[usable] = [np.interp(target, own, row, right=np.nan) for row in density]
     dof = np.full(target.size, degrees_of_freedom(count))
@@ -219,7 +242,7 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
 
 
 def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[NDArray[np.bool_], float]:
-    """Samples of the probes during the record, and their rate, 1/s."""
+    """Which samples of the probes are in the record, and their rate, Hz; raises CubeError if too few are."""
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(
@@ -234,7 +257,7 @@ def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tup
 
 
 def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int]:
-    """Frequencies, one-sided density (probe, omega), number of segments."""
+    """Frequencies, rad/s, spectral density for omega >= 0, (probe, omega), and number of segments."""
     from scipy.signal import welch  # takes a second to import
 
     n = min(round(duration * rate), values.shape[1])
@@ -244,6 +267,7 @@ def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array,
 
 
 def _group(probes: xr.Dataset | None, welch: Welch, cube: xr.Dataset) -> xr.Dataset | None:
+    """Spectra of the probes of an analysis, or None without probes."""
     if probes is None:
         return None
     time, runs = cube["time"].values.astype(float), welch.record.runs

@@ -1,4 +1,4 @@
-"""Fields smoothed over time by the free waves that fit a few steps best."""
+"""Smoothing over time: the free waves that best fit the fields of a few successive steps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,22 +24,24 @@ from wavefield.waves.record import MIN_NODES, check_axes
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-FIELDS = 4  # z, u, v and the rise at a fixed node: w less u . grad z
-MAX_RELATIVE_WAVELENGTH = 12.0  # waves over the longer side: longer ones are no different in the rectangle
-MAX_RELATIVE_WAVENUMBER = 0.45  # of half the sampling one: noise of neighbouring nodes is correlated
-FIRST_AMPLITUDE = 1e-2  # m and m/s, larger than those of waves: before anything is learned
-MIN_NOISE_RATIO = 0.05  # of the stated variance: fields are not followed more closely
-MIN_RELATIVE_EIGENVALUE = 1e-3  # of the largest: plane waves that differ in the rectangle
-ROUNDS = 8  # of learning: spectra change by a few per cent in the last
-CURRENT_ERROR = 0.2  # m/s: standard deviation of the current about the mean velocity of the samples
+FIELDS = 4  # z, u, v and the rate of rise at a fixed node, w - u . grad z
+MAX_RELATIVE_WAVELENGTH = (
+    12.0  # chosen, relative to the longer side; longer waves look alike in the rectangle
+)
+MAX_RELATIVE_WAVENUMBER = 0.45  # chosen, relative to Nyquist; the noise of neighbouring nodes is correlated
+FIRST_AMPLITUDE = 1e-2  # m and m/s, chosen: prior before the first round, larger than the amplitudes of waves
+MIN_NOISE_RATIO = 0.05  # chosen: least noise variance, relative to that of the cube
+MIN_RELATIVE_EIGENVALUE = 1e-3  # chosen: below it, combinations of waves vanish in the rectangle
+ROUNDS = 8  # rounds of learning; in the last, spectra change by a few per cent
+CURRENT_ERROR = 0.2  # m/s, chosen: prior standard deviation of the current about the mean velocity
 
 
 class PlaneWaves:
-    """Plane waves and constants over a rectangle and a window of times, on a current.
+    """Linear model of z, u, v and the rate of rise: free plane waves on a current, and a constant per field.
 
-    Wave vectors lie on rings, so densely that waves may enter during the window: no period is imposed. Each
-    has a complex amplitude, whose potential gives z, u, v and the rise. The last unknowns are the constant
-    of each field.
+    Unknowns are the complex amplitudes of the waves and the constants, over a rectangle of nodes and a window
+    of times. The wave vectors lie on rings of |k|, closer than the resolution of the rectangle, so that the
+    fields need not be periodic.
     """
 
     def __init__(
@@ -71,7 +73,7 @@ class PlaneWaves:
         self.set_current(current)
 
     def set_current(self, current: Array) -> None:
-        """Compute the fields, (fields, times, unknowns), of one unit of each unknown on a current, m/s."""
+        """Set the current, m/s, and compute the response of the fields to each unknown."""
         k, drift = np.hypot(self.kx, self.ky), self.kx * current[0] + self.ky * current[1]
         sigma = dispersion(k, *self.water)
         per_elevation = sigma / (k * np.tanh(np.minimum(k * min(self.water[0], 1e6), 300.0)))
@@ -83,19 +85,20 @@ class PlaneWaves:
         self.response = np.concatenate([wave[:, None] * turning, constant], axis=2)
 
     def fields(self, unknowns: Array) -> Array:
-        """Fields (fields, times, ny, nx) of the unknowns: real, then imaginary parts of the amplitudes."""
+        """Fields (fields, times, ny, nx) from the real, then imaginary parts of the unknowns."""
         return self._sums(self.response, unknowns)
 
     def slopes(self, unknowns: Array, time: int) -> Array:
-        """Slopes z_x, z_y (2, ny, nx) at one time."""
+        """Slopes z_x, z_y, (2, ny, nx), at one time."""
         return self._sums(self._slope_response(time)[:, None], unknowns)[:, 0]
 
     def _slope_response(self, time: int) -> NDArray[np.complex128]:
+        """Response of z_x, z_y to each unknown, (2, unknowns)."""
         k = np.stack([np.append(self.kx, 0.0), np.append(self.ky, 0.0)])
         return np.asarray(1j * k[:, self.vector] * self.response[0, time])
 
     def change_with_current(self, unknowns: Array) -> list[Array]:
-        """Derivatives of the fields (fields, times, ny, nx) to the current along x and y."""
+        """Derivatives of the fields (fields, times, ny, nx) with respect to the current along x and y."""
         out = []
         for k in (self.kx, self.ky):
             changed = np.zeros_like(self.response)
@@ -105,6 +108,7 @@ class PlaneWaves:
         return out
 
     def _sums(self, response: NDArray[np.complex128], unknowns: Array) -> Array:
+        """Sum over the unknowns of responses (fields, times, unknowns), at every node."""
         real, imaginary = np.split(unknowns, 2)
         each = response * (real + 1j * imaginary)
         n = self.kx.size
@@ -113,14 +117,14 @@ class PlaneWaves:
         return np.asarray((flat @ self.basis.T).reshape(*each.shape[:2], *self.shape))
 
     def transposed(self, weighted: Array) -> Array:
-        """Inner product of each unknown's fields with weighted fields (fields, times, ny, nx)."""
+        """Transpose of `fields`: inner products of the responses with fields (fields, times, ny, nx)."""
         sums = weighted.reshape(-1, self.basis.shape[0]) @ self.basis
         real, imaginary = np.split(sums.reshape(*weighted.shape[:2], -1), 2, axis=-1)
         out = ((real + 1j * imaginary)[..., self.vector] * self.response).sum(axis=(0, 1))
         return np.concatenate([out.real, -out.imag])
 
     def products(self, mask: Mask) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Sums over nodes of conj(E_k) E_l and of E_k E_l of the unknowns' plane waves E."""
+        """Sums over the nodes of `mask` of conj(E_k) E_l and of E_k E_l, with the plane waves E."""
         real, imaginary = np.split(self.basis[mask.ravel()], 2, axis=1)
         waves = real + 1j * imaginary
         at = np.ix_(self.vector, self.vector)
@@ -129,7 +133,7 @@ class PlaneWaves:
     def normal(
         self, products: tuple[NDArray[np.complex128], ...], variance: Sequence[float] | Array
     ) -> Array:
-        """Normal matrix for uniform noise variances, at the nodes of `products`."""
+        """Normal matrix of least squares for the noise variance of each field, from `products`."""
         q = self.response.reshape(FIELDS, self.times.size, -1) / np.sqrt(np.asarray(variance))[:, None, None]
         q = q.reshape(-1, self.vector.size)
         hermitian, symmetric = products[0] * (q.conj().T @ q), products[1] * (q.T @ q)
@@ -138,7 +142,7 @@ class PlaneWaves:
         return 0.5 * np.concatenate([upper, lower])
 
     def rows(self, nodes: NDArray[np.intp], time: int) -> Array:
-        """Fields and slopes z_x, z_y of every unknown at some nodes, (6, nodes, 2 unknowns)."""
+        """Response of the fields and the slopes z_x, z_y at some nodes, (6, nodes, 2 unknowns)."""
         real, imaginary = np.split(self.basis[nodes], 2, axis=1)
         response = np.concatenate([self.response[:, time], self._slope_response(time)])
         each = (real + 1j * imaginary)[:, self.vector] * response[:, None]
@@ -146,7 +150,7 @@ class PlaneWaves:
 
 
 class Posterior:
-    """Gaussian estimate of the unknowns, given their prior variances and a normal matrix."""
+    """Gaussian posterior of the unknowns, from a normal matrix and prior variances."""
 
     def __init__(self, normal: Array, prior: Array) -> None:
         self.scale = np.sqrt(np.tile(prior, 2))
@@ -155,25 +159,25 @@ class Posterior:
         self._lower = scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True, check_finite=False)
 
     def solve(self, right: Array) -> Array:
-        """Unknowns for a right-hand side (`PlaneWaves.transposed` of fields over their variances)."""
+        """Mean of the unknowns for a right-hand side, `PlaneWaves.transposed` of fields over variances."""
         out = scipy.linalg.cho_solve((self._lower, True), self.scale * right, check_finite=False)
         return np.asarray(self.scale * out)
 
     def covariance(self, rows: Array) -> Array:
-        """Covariance (nodes, r, r) of linear functions of the unknowns, rows (r, nodes, 2 unknowns)."""
+        """Covariance, (nodes, r, r), of linear functions of the unknowns, (r, nodes, 2 unknowns)."""
         flat = (rows * self.scale).reshape(-1, self.scale.size).T
         half = scipy.linalg.solve_triangular(self._lower, flat, lower=True, check_finite=False)
         half = half.reshape(-1, *rows.shape[:2])
         return np.asarray(np.einsum("prn,psn->nrs", half, half, optimize=True))
 
     def covariance_of_unknowns(self) -> Array:
-        """Covariance (2 unknowns, 2 unknowns) of the unknowns."""
+        """Covariance of the unknowns, (2 unknowns, 2 unknowns)."""
         lower, _ = scipy.linalg.lapack.dpotri(self._lower, lower=True)
         inverse = np.tril(lower) + np.tril(lower, -1).T
         return np.asarray(self.scale[:, None] * inverse * self.scale)
 
     def solve_partial(self, waves: PlaneWaves, fields: Array, weight: Array) -> Array:
-        """Unknowns of fields with missing nodes, by conjugate gradients that this estimate preconditions."""
+        """Unknowns of fields with missing nodes, by conjugate gradients preconditioned with this fit."""
         size = self.scale.size
         matrix = LinearOperator(
             (size, size), lambda x: x / self.scale**2 + waves.transposed(weight * waves.fields(x))
@@ -185,31 +189,31 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Learned:
-    """Spectrum, noise and current learned from sample windows of a record."""
+    """Spectrum, noise and current, estimated from sample windows of a record; arrays are (fields,)."""
 
-    prior: Array  # (groups,): variance of the amplitudes
-    variance: Array  # median of the stated variances
-    noise: Array  # variance of noise per node that the fit takes
-    misfit: Array  # variance of the noise over the stated one
-    taken: Array  # share of the noise's variance that the fit follows
+    prior: Array  # (groups,): variance of the amplitudes on each ring, and of the constants
+    variance: Array  # median of the squared standard uncertainties of the cube
+    noise: Array  # noise variance per node in the fit
+    misfit: Array  # noise variance relative to `variance`
+    taken: Array  # fraction of the noise variance that the fit reproduces
     current: Array  # (2,), m/s
 
 
 def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array, mean: Array) -> Learned:
-    """Learn spectrum, noise and current from windows (fields, times, ny, nx), zero outside the mask.
+    """Estimate spectrum, noise and current from windows (fields, times, ny, nx) that are 0 outside the mask.
 
-    ``mean`` is their mean velocity (2,), m/s: the current at the start. The spectrum is learned by
-    expectation maximisation: the variance of a ring is the mean square of its estimated amplitudes and of
-    their uncertainties, round by round.
+    ``variance`` (fields,) is that of the cube; ``mean``, the mean velocity (2,), m/s, is the first current.
+    The spectrum is estimated by expectation maximisation: in each round, the variance of a ring becomes the
+    mean square of its amplitudes plus their variance.
     """
     products = waves.products(mask)
-    # noise that looks like waves: its values on an orthogonal basis of all plane waves
+    # the noise that resembles waves is estimated on an orthogonal basis of all plane waves
     basis = waves.basis[mask.ravel()]
     eigenvalues, vectors = scipy.linalg.eigh(basis.T @ basis)
     held = eigenvalues > MIN_RELATIVE_EIGENVALUE * eigenvalues[-1]
     basis = basis @ (vectors[:, held] / np.sqrt(eigenvalues[held]))
     nodes, values, times = basis.shape[0], basis.shape[1], waves.times.size
-    current, noise = mean, variance * nodes / values  # neighbouring nodes share their noise
+    current, noise = mean, variance * nodes / values  # neighbouring nodes have correlated noise
     prior = np.full(waves.group.max() + 1, FIRST_AMPLITUDE**2)
     for _ in range(ROUNDS):
         waves.set_current(current)
@@ -217,11 +221,11 @@ def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Arr
         weight = mask / noise[:, None, None, None]
         found = [posterior.solve(waves.transposed(weight * one)) for one in windows]
         rest = [mask * (one - waves.fields(x)) for one, x in zip(windows, found)]
-        current = current + _faster(waves, posterior, found, rest, weight, mean - current)
+        current = current + _current_step(waves, posterior, found, rest, weight, mean - current)
         covariance = posterior.covariance_of_unknowns()
         square = np.mean(np.square(found), axis=0) + np.diag(covariance)
         prior = np.bincount(waves.group, square.reshape(2, -1).mean(axis=0)) / np.bincount(waves.group)
-        followed = np.empty(FIELDS)  # share of the noise on the basis that the fit follows
+        followed = np.empty(FIELDS)  # fraction of the noise on the basis that the fit reproduces
         for field in range(FIELDS):
             alone = np.where(np.arange(FIELDS) == field, noise[field], np.inf)
             followed[field] = np.sum(waves.normal(products, alone) * covariance) / (values * times)
@@ -231,14 +235,14 @@ def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Arr
         total = np.mean([np.sum(np.square(one), axis=(1, 2, 3)) for one in rest], axis=0) / times
         lost = followed * values * density
         misfit, taken = (total + lost) / (nodes * variance), lost / (total + lost)
-        # steps share frames: by so much more of their noise is left in a mean over the window
+        # successive steps share frames, so their noise is correlated: increase the variance accordingly
         alike = np.mean([np.sum(one.sum(axis=1) ** 2, axis=1) for one in like_waves], axis=0) / power
         noise = np.maximum(density * np.maximum(alike, 1.0), MIN_NOISE_RATIO * variance)
     waves.set_current(current)
     return Learned(prior, variance, noise, misfit, taken, current)
 
 
-def _faster(
+def _current_step(
     waves: PlaneWaves,
     posterior: Posterior,
     found: Sequence[Array],
@@ -246,12 +250,12 @@ def _faster(
     weight: Array,
     expected: Array,
 ) -> Array:
-    """Change of the current (2,), m/s, that best explains the residual: one Gauss-Newton step."""
+    """Gauss-Newton step of the current, (2,), m/s, from the residuals of the windows."""
     normal = np.eye(2) / CURRENT_ERROR**2
     right = expected / CURRENT_ERROR**2
     for x, left in zip(found, rest):
         by = waves.change_with_current(x)
-        # without what other amplitudes of the waves explain as well
+        # without the part that a change of the amplitudes can explain
         own = [one - waves.fields(posterior.solve(waves.transposed(weight * one))) for one in by]
         normal += [[np.sum(a * weight * b) for b in by] for a in own]
         right += [np.sum(a * weight * left) for a in own]
@@ -260,20 +264,22 @@ def _faster(
 
 NAMES = ("z", "u", "v", "w")
 INPUTS = (*NAMES, *(f"{name}_std" for name in NAMES), "quality")
-HALF_WINDOW = 0.1  # s; chosen, as are its least and most steps
-MIN_HALF_WINDOW_STEPS, MAX_HALF_WINDOW_STEPS = 2, 10  # on either side
-SAMPLED_WINDOWS = 8  # of a record that are read; the fuller half of them is learned from
-MIN_MEASURED_SHARE = 0.25  # of a rectangle's: measured in all steps of those windows
-TILE_NODES = 60  # a side, at most, of a rectangle that is fitted as one
-OVERLAP_NODES = 16  # that it shares with the next
-MISFIT_RADIUS = 3.0  # nodes: standard deviation of the weights with which misfits are averaged
-COMMON_ERROR_SHARE = 0.12  # of the noise's variance: errors that all steps of a window share
-JUMP_OF_TIME = -1.0  # in place of the quality of a step where time jumps
-VARIANCE_SPACING = 5  # nodes between those at which the variance of the fit is computed
+HALF_WINDOW = 0.1  # s, chosen
+MIN_HALF_WINDOW_STEPS, MAX_HALF_WINDOW_STEPS = 2, 10  # chosen
+SAMPLED_WINDOWS = 8  # chosen: windows that are read to learn; the half with most measured nodes is used
+MIN_MEASURED_SHARE = 0.25  # chosen: least fraction of nodes that are measured throughout these windows
+TILE_NODES = 60  # chosen: largest side of a rectangle that is fitted at once, for memory
+OVERLAP_NODES = 16  # chosen: nodes in common with the next rectangle
+MISFIT_RADIUS = (
+    3.0  # nodes, chosen: standard deviation of the Gaussian weights that average squared residuals
+)
+COMMON_ERROR_SHARE = 0.12  # fraction of the noise variance that all steps of a window have in common
+JUMP_OF_TIME = -1.0  # marks a step at which time jumps, in place of its quality
+VARIANCE_SPACING = 5  # chosen: the variance of the fit is computed at every fifth node and interpolated
 
 
 class _Smoother:
-    """What all steps of a record share."""
+    """Smooths the steps of a record; holds the rectangles and the learned spectrum that all steps use."""
 
     def __init__(
         self, shape: tuple[int, int], step: float, dt: float, water: tuple[float, float], steps: int
@@ -299,7 +305,7 @@ class _Smoother:
         self._fits: dict[int, tuple[Posterior, Array]] = {}
 
     def parts(self, window: Array) -> tuple[Array, Array, Array]:
-        """z, u, v, rise (4, times, ny, nx), 0 where not measured; stated variances; measured nodes."""
+        """z, u, v, rise (4, times, ny, nx), 0 where not measured; variances; whether nodes are measured."""
         z, u, v, w = window[:4].astype(float)
         z_y, z_x = slopes(z, self.step, self.step)
         fields = np.stack([z, u, v, w - u * z_x - v * z_y])
@@ -311,7 +317,7 @@ class _Smoother:
         return np.where(there, fields, 0.0), np.where(there, variance, 1.0), there
 
     def study(self, windows: list[Array]) -> None:
-        """Learn from the fullest sample windows (9, times, ny, nx), at nodes measured in all of them."""
+        """Learn from the sample windows (9, times, ny, nx) with most nodes, at nodes measured in all."""
         parts = [self.parts(window) for window in windows]
         shares = [there.mean() for _, _, there in parts]
         parts = [parts[i] for i in np.argsort(shares, kind="stable")[len(parts) // 2 :]]
@@ -332,7 +338,7 @@ class _Smoother:
         self.learned = learn(self.waves, mask, samples, variance, mean)
 
     def fit_of(self, number: int) -> tuple[Posterior, Array]:
-        """Factor for a tile, and the covariance (ny, nx, 6, 6) of its fields and slopes at mid-time."""
+        """Posterior of a tile, and the covariance (ny, nx, 6, 6) of its fields and slopes at mid-time."""
         if number not in self._fits:
             waves, mask = self.waves, self.mask[self.tiles[number]]
             normal = waves.normal(waves.products(mask), self.learned.noise)
@@ -346,7 +352,7 @@ class _Smoother:
         return self._fits[number]
 
     def smoothed(self, window: Array) -> Array:
-        """z, u, v, w and their standard uncertainties (8, ny, nx) at the middle of a window."""
+        """z, u, v, w and their standard uncertainties, (8, ny, nx), at the middle of a window."""
         own = window[:8, self.steps]
         if (window[8] == JUMP_OF_TIME).any():
             return own.astype(np.float32)
@@ -365,7 +371,7 @@ class _Smoother:
         return np.where(usable, total, own).astype(np.float32)
 
     def _tile(self, number: int, fields: Array, variance: Array, there: Array, own: Array) -> Array:
-        """Values and variances (8, ny, nx) of a tile at the middle."""
+        """z, u, v, w and their variances, (8, ny, nx), of a tile at the middle of the window."""
         waves, learned, middle = self.waves, self.learned, self.steps
         posterior, covariance = self.fit_of(number)
         mask = self.mask[self.tiles[number]]
@@ -405,52 +411,53 @@ class _Smoother:
 
 @takes(a_cube)
 def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
-    """Smooth a cube over time: at each step, the free waves that best fit the steps around it.
+    """Smooth a cube over time by fitting free waves to the steps around each step.
 
-    The noise of the result is correlated in time, so compute spectra and statistics from the cube itself.
+    The noise of the result is correlated in time. Compute spectra and statistics from the cube itself.
 
     Parameters
     ----------
     cube : Dataset
         z, u, v, w over (time, y, x), m and m/s, with their standard uncertainties ``z_std``, ``u_std``,
-        ``v_std``, ``w_std``; ``quality`` and ``frame_status`` where present. Up to eight windows of it are
-        read at once to learn the spectrum, the noise and the current; lazy input gives a lazy result.
+        ``v_std``, ``w_std``; ``quality`` and ``frame_status`` where present. A lazy cube gives a lazy result,
+        except that eight short parts of it are read at once, to learn spectrum, noise and current.
     depth : float, optional
         Depth of the water, m; by default that of the cube, or deep.
 
     Returns
     -------
     Dataset
-        z, u, v, w, smoothed, and their standard uncertainties, over the same nodes and times, with the cube's
-        ``quality``. Nodes that are not flagged as measured keep the cube's values, as do steps within a
-        window of a jump of time. Attribute ``smoothed`` says over how many steps and on which current.
+        Smoothed z, u, v, w and their standard uncertainties, over the same nodes and times, with the
+        ``quality`` of the cube. Values are not changed at nodes that are not measured and in windows across a
+        jump of time. The attribute ``smoothed`` gives the number of steps in a window and the current.
 
     Raises
     ------
     CubeError
         If a variable is missing, the record has fewer than five steps, the grid fewer than 8 nodes along a
-        side, or fewer than a quarter of the nodes are measured.
+        side or unequal distances, or fewer than a quarter of the nodes are measured.
 
     Notes
     -----
-    A window holds the steps within 0.1 s, at least two on either side. In it, fields are sums of free waves
-    of all directions with amplitudes a,
+    A window contains the steps within 0.1 s, at least two on either side. The model of its fields is a sum of
+    free waves of all directions with amplitudes a,
 
         z = sum a e, u = sum (k / |k|) (sigma / tanh |k| h) a e, w - u . grad z = sum -i omega a e,
 
-    e = exp(i (k . x - omega t)), omega = sigma + k . U, sigma by the dispersion relation, and one constant
-    for each field. The amplitudes are the most probable ones for the noise and the spectrum of the record.
-    Its spectrum by rings of |k|, its noise and its current U are learned from sample windows. Large grids are
-    fitted in overlapping rectangles of at most 60 nodes a side.
+    with e = exp(i (k . x - omega t)), omega = sigma + k . U, and sigma by the dispersion relation, plus a
+    constant for each field. The amplitudes are the posterior means for the noise and the spectrum of the
+    record. The spectrum over rings of |k|, the noise and the current U are estimated from sample windows.
+    Large grids are fitted in overlapping rectangles of at most 60 nodes a side. Waves shorter than 4.4 nodes
+    are not fitted.
 
-    Where waves leave a residual whose mean square, over the window and 3 nodes, exceeds the noise by a factor
-    1 + q, the fraction q / (1 + q) of the measured value is kept. So flow that is not of free waves (steep
-    waves, eddies) stays as measured, as does its standard uncertainty. Errors that all steps share can look
-    like waves: 12 % of the noise's variance is added for them. Waves shorter than 4.4 nodes are not fitted.
+    If the mean square of the residual, over the window and within 3 nodes, exceeds the noise by a factor
+    1 + q, the fraction q / (1 + q) of the residual is added to the fit. Motion that is not free waves (steep
+    waves, eddies) therefore stays as measured, with its standard uncertainty. The variance of the result
+    includes 12 % of the noise variance, for errors that all steps have in common and that resemble waves.
 
     Examples
     --------
-    A wave of 0.4 m on deep water, and noise.
+    A wave of 0.4 m on deep water, with noise.
 
     >>> import wavefield as wf
     >>> t, y, x = np.arange(9) * 0.05, np.arange(20) * 0.02, np.arange(24) * 0.02
