@@ -25,9 +25,10 @@ CONVERTED = (np.uint8, np.uint16, np.float32)  # colour images of these types ar
 
 
 def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
-    """Read one grey image, (row, column), as stored: TIFF, PNG, BMP, JPEG, LaVision's IM7.
+    """Return one image as grey levels of the file's type, (row, column): TIFF, PNG, BMP, JPEG or IM7 (DaVis).
 
-    Of a file with several images the page has to be named. Raises `FrameError`.
+    `page` is the index, from 0, of an image in a TIFF file; it is needed if the file has several.
+    FrameError if the file is missing, damaged or of another format.
     """
     path = Path(path)
     refuse_pipe(path, FrameError)
@@ -45,6 +46,7 @@ def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
 
 
 def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
+    """Return a grey image, (row, column), from an open file; `name` is its name in messages."""
     start = stream.read(4)
     stream.seek(0)
     if start in tiff.STARTS:
@@ -71,7 +73,7 @@ def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
 
 
 def _decode(data: bytes, start: bytes) -> np.ndarray | None:
-    """Decode an image, colours in the order RGB; None if its first bytes are of no supported format."""
+    """Return an image from a file's bytes, colours as RGB; None if `start`, its first bytes, is unknown."""
     if start == PNG:
         return np.asarray(imagecodecs.png_decode(data))
     if start[:3] == JPEG:  # strict: what libjpeg only warns of is an error
@@ -86,7 +88,7 @@ def _decode(data: bytes, start: bytes) -> np.ndarray | None:
 
 
 def _unknown(name: str, start: bytes) -> str:
-    """Message about a file that does not begin as an image does."""
+    """Return a message on a file whose first bytes (`start`) are those of no supported image."""
     if not start:
         return f"{name} is empty; copy it again from the camera"
     ending = Path(name).suffix.lower()
@@ -96,7 +98,9 @@ def _unknown(name: str, start: bytes) -> str:
 
 
 def grey(image: np.ndarray) -> np.ndarray:
-    """Luminance of a colour image (red, green, blue; alpha is ignored); a grey one is returned as it is."""
+    """Return the luminance of an image (row, column, red-green-blue), in its type; alpha is ignored.
+    An image (row, column) is returned as it is; of one or two channels the first is returned.
+    """
     if image.ndim == 2:
         return image
     if image.shape[2] < 3:
@@ -110,7 +114,7 @@ def grey(image: np.ndarray) -> np.ndarray:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence OpenCV, whose messages about damage do not name the file."""
+    """Context manager: silence OpenCV, because its messages about damage do not name the file."""
     before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         yield
@@ -120,8 +124,11 @@ def _quiet() -> Iterator[None]:
 
 
 def write_image(path: str | Path, image: np.ndarray, product: Product | None = None) -> None:
-    """Write one grey image atomically, as uncompressed TIFF or as PNG by the name's ending.
-    Without a product any plain file is replaced.
+    """Write one grey image, (row, column), completely or not at all; the ending of `path` gives the format.
+
+    ``.tif`` is written uncompressed; other endings, such as ``.png``, by OpenCV. With a `product` an existing
+    file is replaced only if it is the same product, without it any plain file is. FrameError if it cannot be
+    written.
     """
     path = Path(path)
     try:
@@ -139,7 +146,9 @@ def write_image(path: str | Path, image: np.ndarray, product: Product | None = N
 
 
 def fill_masked(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """A copy of an image, (row, column), with masked pixels set to the median grey of the others.
+    """Return a copy of an image, (row, column), with masked pixels set to the median grey of the others.
+
+    `covered` is true at masked pixels, (row, column). The median is that of every eighth pixel.
 
     Examples
     --------

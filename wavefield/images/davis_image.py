@@ -15,7 +15,11 @@ MAX_COMPRESSION = 2000  # by zlib
 
 
 def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
-    """Read one image of a buffer, (row, column), in counts."""
+    """Return one image of an .im7 file, (row, column), in counts; needs LaVision's package lvpyio.
+
+    `frame` is the index of the image, from 0; needed if the file has several. FrameError if the file is
+    missing or damaged, or has no such image.
+    """
     path = Path(path)
     try:
         import lvpyio
@@ -37,7 +41,9 @@ def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
 
 
 def count_frames(path: Path) -> int:
-    """Number of images in a buffer, from its header, on whose damage LaVision's reader may hang."""
+    """Return the number of images in an .im7 file; FrameError if the file or its header is damaged.
+    The header is checked here because LaVision's reader may hang on a damaged one.
+    """
     try:
         size = path.stat().st_size
         with path.open("rb") as stream:

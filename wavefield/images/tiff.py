@@ -28,6 +28,7 @@ PAGES_TRIED = 4  # for thumbnails: where these have none, no page has
 class TiffImages:
     """The images of a TIFF file, (row, column) or (row, column, red-green-blue); thumbnails are left out.
 
+    `source` is a path or an open file, `name` its name in messages. FrameError if it is not a sound TIFF.
     ImageJ's stacks beyond 4 GB have one directory for all images, which follow one another.
     """
 
@@ -49,7 +50,7 @@ class TiffImages:
         self.count = stacked if self._stacked else len(self._pages)
 
     def read(self, index: int) -> NDArray[Any]:
-        """Read one image."""
+        """Return the image at an index from 0; FrameError if it is absent, damaged or not supported."""
         try:
             number = index if self._stacked else self._pages[index]
             page: Any = self.file.pages[0 if self._stacked else number]
@@ -69,7 +70,7 @@ class TiffImages:
             raise _corrupt(self.name, error) from None
 
     def _in_stack(self, page: Any, index: int) -> NDArray[Any]:
-        """Read an image of an ImageJ stack that has a directory for its first image only."""
+        """Return an image, by its index, of an ImageJ stack that describes only its first image (`page`)."""
         if page.compression != COMPRESSION.NONE:
             raise FrameError(f"{self.name} is a compressed stack with one directory; save each image")
         handle = self.file.filehandle
@@ -84,15 +85,19 @@ class TiffImages:
 
 
 def _corrupt(name: str, error: Exception) -> FrameError:
+    """Return the error to raise for a file that tifffile cannot read."""
     return FrameError(f"{name} is corrupt or truncated: {one_line(error)}; copy it again from the camera")
 
 
 def _is_frame(page: tifffile.TiffPage) -> bool:
+    """Whether a page is an image, not a thumbnail or a mask."""
     return not (page.is_reduced or page.is_mask)
 
 
 def refuse_page(page: Any, name: str) -> None:
-    """Refuse a page that is no grey or colour image of real numbers, or whose coding is not supported."""
+    """Raise FrameError unless a page is a grey or colour image of real numbers in a supported compression.
+    `name` is that of the file.
+    """
     if page.dtype is not None and page.dtype.kind == "c":
         raise FrameError(f"{name} has complex pixels; save their magnitudes")
     if page.imagedepth > 1:
@@ -112,18 +117,23 @@ def refuse_page(page: Any, name: str) -> None:
 
 
 def _words(code: Any) -> str:
+    """Return the name of a TIFF tag's code, or the code as text."""
     return getattr(code, "name", str(code))
 
 
 def _refuse_missing_parts(page: Any, size: int) -> None:
-    """Refuse strips or tiles without data, or beyond the end of the file, which tifffile fills with zeros."""
+    """Raise ValueError if parts of a page are empty or beyond the file's `size`, bytes.
+    Such strips or tiles would be zeros for tifffile.
+    """
     ends = [start + count for start, count in zip(page.dataoffsets, page.databytecounts)]
     if not ends or min(page.databytecounts) == 0 or max(ends) > size:
         raise ValueError("the file ends before its pixels")
 
 
 def _as_bright(page: Any, image: NDArray[Any], name: str) -> NDArray[Any]:
-    """Pixels of a page as displayed: channels last, no alpha, palette applied, MinIsWhite inverted."""
+    """Return the decoded image of a page as displayed: (row, column) or (row, column, red-green-blue).
+    Alpha is left out, a palette is applied, MinIsWhite is inverted, and bits become 0 or 255.
+    """
     if image.ndim == 3 and page.planarconfig == tifffile.PLANARCONFIG.SEPARATE:
         image = np.moveaxis(image, 0, -1)
     if page.extrasamples:

@@ -4,6 +4,8 @@ from pathlib import Path
 
 
 def beside(store: Path, kind: str, ending: str) -> Path:
-    """Default path of something made from a cube: waves.zarr of cube.zarr, run7_waves.zarr of run7.zarr."""
+    """Return the default path of an output made from a cube, next to it.
+    With the kind "waves" and the ending ".zarr": waves.zarr for cube.zarr, run7_waves.zarr for run7.zarr.
+    """
     stem = store.name.removesuffix(".zarr")
     return store.with_name((stem.replace("cube", kind) if "cube" in stem else f"{stem}_{kind}") + ending)

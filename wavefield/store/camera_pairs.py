@@ -32,7 +32,9 @@ register(
 
 
 def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> None:
-    """Write the statistics into a cube, with the state (`state_of`) that they belong to."""
+    """Write error statistics of camera pairs into the cube at `path`, in place of earlier ones.
+    `statistics` is as `read_pair_statistics` returns it; `state` is the `state_of` the cube.
+    """
     attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
     with writing(path / GROUP):
         shutil.rmtree(path / GROUP, ignore_errors=True)
@@ -43,8 +45,10 @@ def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> Non
 
 
 def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
-    """Load the statistics (error, bin) of a cube; None if there are none, or if they were changed.
-    Coordinates of error: quantity, cameras, units; attribute ``cube_state``: of the cube they belong to.
+    """Load the error statistics of a cube's camera pairs; None if there are none, or if they were changed.
+
+    Variables are (error) or (error, bin). The coordinates quantity, cameras and units describe each error.
+    The attribute ``cube_state`` is the `state_of` the cube when they were written.
     """
     path = Path(store) / GROUP
     mark = read_mark(path)

@@ -30,7 +30,7 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
     path : path
         Store written by `run`, or a folder that holds one.
     chunks : optional
-        As in `xarray.open_zarr`; by default one Dask chunk per chunk.
+        As in `xarray.open_zarr`; by default one Dask chunk for each stored chunk of steps.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
 
 def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
-    """Open every variable of a cube as it is stored; parameters and errors are those of `open_cube`."""
+    """Open every variable that a cube stores, lazily; parameters and errors are those of `open_cube`."""
     path = find_store(path)
     layout = read_layout(open_group(path))
     if chunks == "auto":
@@ -105,7 +105,7 @@ def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
 
 class _NamedArray(BackendArray):
-    """A lazy array of a store; errors while reading it become a `StoreError` with its path."""
+    """A lazy array of a store; an error while reading it becomes a StoreError with the array's path."""
 
     def __init__(self, path: Path, variable: xr.Variable) -> None:
         self.path, self.variable = path, variable
@@ -117,12 +117,13 @@ class _NamedArray(BackendArray):
         return out
 
     def _read(self, key: tuple[Any, ...]) -> np.ndarray:
+        """Return the values at a key of integers, slices or arrays, one per dimension."""
         with named_damage(self.path):
             return np.asarray(self.variable[key].values)
 
 
 def named_variable(path: Path, variable: xr.Variable) -> xr.Variable:
-    """The same lazy variable; errors on reading it name the path of its array."""
+    """Return the same lazy variable; an error while reading its values names `path`, that of its array."""
     data = indexing.LazilyIndexedArray(_NamedArray(path, variable))
     return xr.Variable(variable.dims, data, variable.attrs, variable.encoding)
 
@@ -150,7 +151,7 @@ class CubeAccessor:
         self._cube = cube
 
     def flagged(self, name: str) -> xr.DataArray:
-        """Nodes whose `quality` has a flag.
+        """Return where `quality` has a flag.
 
         Parameters
         ----------
@@ -160,6 +161,7 @@ class CubeAccessor:
         Returns
         -------
         DataArray of bool, (time, y, x)
+            True at nodes that have the flag.
 
         Raises
         ------
@@ -174,17 +176,17 @@ class CubeAccessor:
 
     @property
     def gain(self) -> xr.Dataset:
-        """Amplitude response of the measurement to waves, (direction, k)."""
+        """Amplitude response of the measurement to waves: ``gain_z``, ``gain_u``, ..., (direction, k)."""
         names = [f"gain_{name}" for name in "zuvw" if f"gain_{name}" in self._cube]
         return self._cube[names].reset_coords(names)
 
     @property
     def recipe(self) -> dict[str, Any]:
-        """What the cube was made from: images, rig, grid, settings, versions; empty if it is not stated."""
+        """All inputs of the cube: images, rig, grid, settings, versions; empty if they are not stored."""
         return recipe_of(self._cube.attrs)
 
     @property
     def rig(self) -> Rig:
-        """The cameras of the measurement; empty if the cube does not contain them."""
+        """The calibrated cameras of the measurement; a rig without cameras if they are not stored."""
         cameras = self.recipe.get("rig", {})
         return Rig({name: Camera.from_dict(camera) for name, camera in cameras.items()})

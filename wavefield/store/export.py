@@ -34,12 +34,12 @@ _UVMAT_ROLES = {  # name here: name and role there
 
 
 class _Hdf5File(io.FileIO):
-    """A file for the HDF5 library, which crashes where a write fails: the first error is kept for the end."""
+    """A file for the HDF5 library, which crashes if a write fails; `failure` keeps the first error."""
 
     failure: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write all of the data, or keep the error."""
+        """Write all of the data, or keep the error; return the size of the data in either case."""
         left = memoryview(data).cast("B")
         size = len(left)
         while left and self.failure is None:
@@ -50,7 +50,7 @@ class _Hdf5File(io.FileIO):
         return size
 
     def truncate(self, size: int | None = None) -> int:
-        """Change the size, or keep the error."""
+        """Change the size, bytes, or keep the error; return the size."""
         try:
             return super().truncate(size)
         except OSError as error:
@@ -59,7 +59,7 @@ class _Hdf5File(io.FileIO):
 
 
 def _write_hdf5(cube: "xr.Dataset", path: Path) -> None:
-    """Write a Dataset as NetCDF-4; raises the first error of writing it."""
+    """Write a Dataset as a NetCDF-4 file; raise the first OSError of writing."""
     with _Hdf5File(path, "w+") as file:
         try:
             cube.to_netcdf(file, engine="h5netcdf", format="NETCDF4")
@@ -71,7 +71,7 @@ def _write_hdf5(cube: "xr.Dataset", path: Path) -> None:
 
 
 def export(store: str | Path, path: str | Path, steps: slice | None = None) -> None:
-    """Write a cube for other programs; the suffix of the name chooses the format.
+    """Write a cube for other programs; the ending of `path` chooses the format.
 
     Parameters
     ----------
@@ -79,24 +79,25 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
         Cube written by `run`.
     path : path
         ``.nc``: one NetCDF-4 file that follows the CF conventions; ``.mat``: MATLAB 7, variables below 2 GB;
-        ``.uvmat``: a folder of one NetCDF file per step. It appears when it is complete.
+        ``.uvmat``: a folder of one NetCDF file per step. The output appears when it is complete.
     steps : slice, optional
-        Some of the steps; by default all.
+        Indices of the steps to export; by default all.
 
     Raises
     ------
     StoreError
-        If the cube is not there, has no such steps, or the file cannot be written or has another program's
-        ending.
+        If the cube is not there or has no such steps, or if the file cannot be written, must not be replaced,
+        or has another ending.
 
     Warns
     -----
     UserWarning
-        If steps of the cube are missing.
+        If steps of the cube are not measured yet, or could not be measured.
 
     Notes
     -----
-    Values are unpacked float32. A MAT-file is written a variable at a time, others a few steps at a time.
+    Values are unpacked to float32. A MAT-file is written one variable at a time, UVMAT's files a few steps at
+    a time.
 
     Examples
     --------
@@ -124,12 +125,14 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
 
 
 def _product(kind: str, cube: "xr.Dataset") -> Product | None:
-    """The mark of a NetCDF export, which may be replaced; MATLAB and UVMAT files have no room for one."""
+    """Return the mark of a NetCDF export, which may be replaced; None for other kinds: they have no mark."""
     return Product("netcdf export", source_of(cube)) if kind == "netcdf" else None
 
 
 def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
-    """Write a cube, or averages of one, as NetCDF (CF)."""
+    """Write a cube, or averages of one, as a NetCDF-4 file with CF attributes; `cube` is changed.
+    StoreError if the file cannot be written, or is there and is not an export of the same cube.
+    """
     product = _product("netcdf", cube)
     cube.attrs = {
         name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()
@@ -149,7 +152,9 @@ def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
 
 
 def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
-    """Write a cube as a MAT-file: fields (y, x, time), `units` and `long_name` as structs, attributes."""
+    """Write a cube as a MAT-file: fields (y, x, time), `units` and `long_name` as structs, text attributes.
+    StoreError if a variable has 2 GB or more.
+    """
     from scipy.io import savemat
 
     numbers = {name: one for name, one in cube.variables.items() if one.dtype.kind not in "UOTM"}

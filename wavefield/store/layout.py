@@ -56,18 +56,18 @@ CubeGroup: TypeAlias = Any  # an open cube: `zarr.Group` types arrays and groups
 class StoreLayout:
     """Sizes of a store."""
 
-    steps: int  # there is one frame more
+    steps: int  # Steps of the whole run; the record has one frame more
     chunk_steps: int  # Steps per chunk (shard)
-    cameras: tuple[str, ...]  # Cameras whose frames are watched
+    cameras: tuple[str, ...]  # Cameras whose bad frames are recorded in `frame_fault`
     first_frame: int  # Number of the first frame
 
     def chunks(self) -> list[tuple[int, int]]:
-        """Ranges of steps (start, stop) of all chunks, in order."""
+        """Return the range of steps (start, stop) of each chunk, in order."""
         return [(i, min(i + self.chunk_steps, self.steps)) for i in range(0, self.steps, self.chunk_steps)]
 
 
 def title(experiment: str) -> str:
-    """Title of a cube, an attribute of the CF conventions."""
+    """Return the title of a cube (attribute of the CF conventions) from the experiment's name."""
     return f"water surface and its velocity, {experiment}"
 
 
@@ -80,8 +80,10 @@ def create_store(
     attributes: Mapping[str, object],
     once: Mapping[str, np.ndarray | np.floating] | None = None,
 ) -> None:
-    """Make an empty store, complete or not at all; x and y are its coordinates, metres.
-    once: variables that are known before the run, such as the gain.
+    """Make an empty cube at `path`, complete or not at all; StoreError if something is there already.
+
+    `x` (nx,) and `y` (ny,) are the positions of its nodes, m. `attributes` are added to those from the
+    recipe. `once` are variables that are known before the run, such as ``gain_z``.
     """
     with atomic(path) as draft, zarr.config.set(FILES_OF_ALL_CHUNKS):
         group = _lay_out(draft, recipe, x, y, layout, attributes)
@@ -101,6 +103,7 @@ def _lay_out(
     layout: StoreLayout,
     attributes: Mapping[str, Any],
 ) -> zarr.Group:
+    """Make the group of a cube and its arrays, without values; arguments as for `create_store`."""
     n, steps = layout.steps, layout.chunk_steps
     group = zarr.open_group(
         path,
@@ -159,7 +162,9 @@ def _lay_out(
 def add_array(
     group: zarr.Group, row: Variable, values: np.ndarray | np.generic | None = None, **options: Any
 ) -> None:
-    """Create the array of a variable: with these values in one chunk, or empty with a given shape."""
+    """Create the array of a variable: with `values` in one chunk, or empty with `shape` in the options.
+    `options` are those of `zarr.Group.create_array`; they replace name, type and attributes of the variable.
+    """
     how: dict[str, Any] = {
         "name": row.name,
         "dtype": row.dtype,
@@ -174,14 +179,14 @@ def add_array(
 
 
 def in_16_bits(values: np.ndarray, scale: float) -> np.ndarray:
-    """Values divided by a scale, as int16; `MISSING` where they are not finite or too large."""
+    """Return values divided by a scale as int16; `MISSING` where they are not finite or too large."""
     with np.errstate(invalid="ignore"):
         scaled = np.rint(values / scale)
         return np.where(np.abs(scaled) <= 32767, scaled, MISSING).astype(np.int16)
 
 
 def gather_metadata(path: Path) -> None:
-    """Consolidate the metadata of all arrays in the store's zarr.json, so that it opens quickly."""
+    """Copy the metadata of all arrays into the store's zarr.json, so that the store opens quickly."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(path)
@@ -192,7 +197,7 @@ _PLACES = {"frame_fault": "c/0/{}", "frame_status": "c/{}"}
 
 @contextmanager
 def named_damage(array: Path) -> Iterator[None]:
-    """Turn a codec's error on damaged bytes into a `StoreError` that names the array."""
+    """Context manager: turn an error while reading damaged bytes into a StoreError that names the array."""
     try:
         yield
     except StoreError:
@@ -205,5 +210,5 @@ def named_damage(array: Path) -> Iterator[None]:
 
 
 def chunk_path(path: Path, name: str, number: int) -> Path:
-    """The file of one chunk of an array."""
+    """Return the file of one chunk of an array in the store at `path`; chunks are numbered from 0."""
     return path / name / _PLACES.get(name, "c/{}/0/0").format(number)

@@ -37,7 +37,7 @@ class BadFrames:
 
 @dataclass(frozen=True)
 class Status:
-    """State of a store.
+    """Progress of a run, as its cube records it in `frame_status` and `frame_fault`.
 
     Parameters
     ----------
@@ -46,19 +46,23 @@ class Status:
     experiment : str
         Name of the experiment.
     recipe_hash : str
-        Of the recipe it is made with: settings, rig, grid, names of images, version of this package.
+        Hash of the recipe of the cube (`Recipe.hash`): settings, rig, grid, names of images, ...
     steps : int
         Steps of the whole run.
-    done, faulty, failed : int
-        Steps measured without fault, with bad frames around them, not measurable.
+    done : int
+        Steps finished without bad frames; those next to lost or late frames count, but have no values.
+    faulty : int
+        Steps measured although frames around them were bad.
+    failed : int
+        Steps that could not be measured.
     failed_steps : tuple of int
-        Numbers of the frames that failed steps begin with.
+        Number of the first frame of each failed step.
     bad_frames : tuple of BadFrames
         Frames that were bad.
     verdict : Verdict or None
-        On the cube, once its run has ended.
+        Remarks on the cube; None until its run has ended.
     lacks_verdict : bool
-        Whether its run has ended and yet the file of its verdict is not there.
+        Whether the file of the verdict is missing although the run has ended.
     """
 
     store: Path
@@ -75,13 +79,13 @@ class Status:
 
     @property
     def exit_status(self) -> int:
-        """Of a command: 1 where nothing could be measured, 3 where a remark matters, else 0."""
+        """Exit status of a command: 1 if all steps failed, 3 with a remark or a lost verdict, else 0."""
         if self.failed and self.failed == self.steps:
             return 1
         return self.verdict.exit_status if self.verdict else 3 if self.lacks_verdict else 0
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, as for ``--json``."""
+        """Return all of it as plain data, as ``wavefield status --json`` prints it."""
         out = asdict(self) | {"store": str(self.store), "complete": self.complete, "left": self.left}
         out["bad_frames"] = [
             {"camera": b.camera, "fault": b.fault.name.lower(), "numbers": list(b.numbers)}
@@ -91,12 +95,12 @@ class Status:
 
     @property
     def complete(self) -> bool:
-        """Whether every step was tried."""
+        """Whether every step was tried, failed ones included."""
         return self.left == 0
 
     @property
     def left(self) -> int:
-        """Steps not started."""
+        """Number of steps that were not tried yet."""
         return self.steps - self.done - self.faulty - self.failed
 
     def __str__(self) -> str:
@@ -128,12 +132,12 @@ class Status:
 
 
 def status(store: str | Path) -> Status:
-    """Read the ledger of a store.
+    """Return the progress of a run: steps done and failed, bad frames, and the verdict.
 
     Parameters
     ----------
     store : path
-        Written by `run`, finished or not; or a folder that holds one.
+        Cube written by `run`, finished or not, or a folder that holds one.
 
     Returns
     -------
@@ -179,7 +183,7 @@ def status(store: str | Path) -> Status:
 
 
 def unfinished_note(store: str | Path) -> str:
-    """Warning before something is made from a cube that is not finished."""
+    """Return a warning if steps of a cube are not measured or have failed; empty if all are measured."""
     found = status(store)
     if found.complete and not found.failed:
         return ""

@@ -15,7 +15,9 @@ FINISHED = "finished"  # attribute: whether the run that writes the cube has end
 
 
 def read_metadata(path: Path) -> dict[str, Any]:
-    """Content of a cube's ``zarr.json``; `StoreError` if it was changed since it was written."""
+    """Return the content of a cube's ``zarr.json``.
+    StoreError if it is missing, damaged, changed since it was written, or not that of a cube.
+    """
     file = path / "zarr.json"
     if not path.exists():
         raise StoreError(f"{path}: no such store; make one with `wavefield run`")
@@ -41,7 +43,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
 
 
 def update_metadata(path: Path, attributes: Mapping[str, object]) -> None:
-    """Change attributes of a cube; None removes one."""
+    """Set attributes of the cube at `path`; None removes one. StoreError if it is damaged or read-only."""
     data = read_metadata(path)
     merged = {**data["attributes"], **attributes}
     data["attributes"] = {name: value for name, value in merged.items() if value is not None}
@@ -50,16 +52,18 @@ def update_metadata(path: Path, attributes: Mapping[str, object]) -> None:
 
 
 def seal_metadata(path: Path) -> None:
-    """Add the checksum to the consolidated metadata of a new cube."""
+    """Add the checksum to ``zarr.json`` of a new cube, as its last change before it is used."""
     _write_sealed(path, json.loads((path / "zarr.json").read_bytes()))
 
 
 def _write_sealed(path: Path, data: dict[str, Any]) -> None:
+    """Write the content of ``zarr.json`` with its checksum, completely or not at all."""
     data["attributes"][CHECKSUM] = _checksum(data)
     with atomic(path / "zarr.json", replace=True) as draft:
         draft.write_text(json.dumps(data, indent=1), encoding="utf-8")
 
 
 def _checksum(data: Mapping[str, Any]) -> int:
+    """Return the CRC-32 of the content of ``zarr.json`` without the checksum in it."""
     attributes = {name: value for name, value in data["attributes"].items() if name != CHECKSUM}
     return zlib.crc32(json.dumps({**data, "attributes": attributes}, sort_keys=True).encode())

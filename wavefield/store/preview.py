@@ -32,15 +32,15 @@ _VALUES = 32_000_000  # of one variable: 64 MB; longer records are thinned more
 
 @dataclass(frozen=True)
 class Thinning:
-    """Which part of a cube a preview holds."""
+    """The nodes and variables of a cube that its preview contains."""
 
-    every: int  # Every so-many-th node along x and y, from the first
+    every: int  # Distance between its nodes, in nodes of the cube, along x and y; 1 keeps all
     names: tuple[str, ...]  # Variables, in order
     scales: tuple[float, ...]  # Value = scale * stored, in the variable's unit
 
 
 def thinning(group: CubeGroup) -> Thinning:
-    """Thinning of a cube: every fourth node for a grid of 150 x 200, every node for a small one."""
+    """Return how the preview of a cube is thinned: at most some 2000 nodes, fewer for very long records."""
     names = tuple(name for name in CUBE_FIELDS if name in group)
     steps, ny, nx = group[names[0]].shape
     most = min(_NODES, max(1, _VALUES // max(steps, 1)))
@@ -49,7 +49,7 @@ def thinning(group: CubeGroup) -> Thinning:
 
 
 def create_preview(group: CubeGroup) -> None:
-    """Make an empty preview of a cube, in place of an old one."""
+    """Make an empty preview in a cube, in place of an old one; StoreError if it cannot be written."""
     layout, thin, path = read_layout(group), thinning(group), group.store_path.store.root / _GROUP
     shape = _shape(group, thin)
     with writing(path):
@@ -67,16 +67,18 @@ def create_preview(group: CubeGroup) -> None:
 
 
 def _shape(group: CubeGroup, thin: Thinning) -> tuple[int, ...]:
+    """Return the shape (variable, y, x, time) of a cube's preview."""
     steps, ny, nx = group[thin.names[0]].shape
     return len(thin.names), math.ceil(ny / thin.every), math.ceil(nx / thin.every), steps
 
 
 def _attributes(thin: Thinning) -> dict[str, Any]:
+    """Return the attributes of the group of a preview."""
     return {"every": thin.every, "variables": list(thin.names)}
 
 
 def _open(group: CubeGroup, thin: Thinning, mode: Literal["r", "r+"]) -> Any:
-    """The array of a cube's preview; None if it is absent, damaged, or of another shape."""
+    """Return the array `fields` of a cube's preview; None if it is absent, damaged or of another shape."""
     with suppress(Exception):  # absent or damaged: the cube has it all
         root = group.store_path.store.root
         preview: Any = zarr.open_group(root / _GROUP, mode=mode, use_consolidated=False)
@@ -86,20 +88,20 @@ def _open(group: CubeGroup, thin: Thinning, mode: Literal["r", "r+"]) -> Any:
 
 
 def _chunk(group: CubeGroup, start: int) -> Path:
-    """File of the chunk that begins with a step."""
+    """Return the file of the preview's chunk that begins with step `start`."""
     number = start // read_layout(group).chunk_steps
     return Path(group.store_path.store.root / _GROUP / f"fields/c/0/0/0/{number}")
 
 
 def _thinned(fields: Mapping[str, NDArray[Any]], every: int, scales: Iterable[float]) -> NDArray[np.int16]:
-    """Every so-many-th node of fields (n, ny, nx), in 16 bits: round(value / scale), (variable, y, x, n)."""
+    """Return fields (n, ny, nx) at each `every`-th node as int16, value / scale, (variable, y, x, n)."""
     nodes = [values[:, ::every, ::every].astype(np.float32) for values in fields.values()]
     out = [in_16_bits(values, scale) for values, scale in zip(nodes, scales)]
     return np.ascontiguousarray(np.moveaxis(np.array(out), 1, -1))
 
 
 def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
-    """Write one chunk of measured fields (n, ny, nx) into the preview, if the cube has one."""
+    """Write fields (n, ny, nx) of the chunk that begins with step `start` into the cube's preview, if any."""
     thin = thinning(group)
     preview = _open(group, thin, "r+")
     if preview is not None:
@@ -110,7 +112,9 @@ def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any
 
 
 def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
-    """A chunk of steps, thinned to (variable, y, x, n), from the preview or else from the cube itself."""
+    """Return the steps of one chunk, start to stop, thinned: int16, (variable, y, x, n), value / scale.
+    They are read from the preview, or from the cube itself if the preview has no such chunk.
+    """
     preview = _open(group, thin, "r")
     with suppress(Exception):  # as above
         if _chunk(group, start).is_file():
@@ -120,7 +124,9 @@ def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDA
 
 
 def read_steps(group: CubeGroup, name: str, start: int, stop: int) -> NDArray[Any]:
-    """Steps of one variable of a cube, unpacked, (n, ny, nx): float32, NaN where nothing was measured."""
+    """Return steps start to stop of a variable of a cube, (n, ny, nx); StoreError if they are damaged.
+    Packed values become float32, with NaN where nothing was measured; others are returned as stored.
+    """
     array = group[name]
     try:
         values = np.asarray(array[start:stop])

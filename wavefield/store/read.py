@@ -18,8 +18,8 @@ from wavefield.text import one_line
 
 
 class CubeStore(LocalStore):
-    """The files of a cube for Zarr, which takes a missing file for missing values: here it is an error,
-    unless its steps are still to be measured.
+    """The files of a cube for Zarr. Zarr takes a missing file for missing values; this store raises a
+    StoreError, unless the steps in the file are still to be measured.
     """
 
     async def get(self, key: str, *arguments: Any, **keywords: Any) -> Any:
@@ -37,6 +37,7 @@ class CubeStore(LocalStore):
         return [await self.get(key, prototype, part) for key, part in key_ranges]
 
     def _refuse_absent(self, key: str) -> None:
+        """Raise StoreError if an absent file should be there; `key` is its path in the store."""
         name, _, place = key.partition("/c/")
         if not place:
             return  # no array of this name
@@ -50,7 +51,11 @@ class CubeStore(LocalStore):
 
 
 def _is_expected(root: Path, name: str, place: str) -> bool:
-    """Whether a chunk must exist: the ledger calls its steps done, or the run has ended."""
+    """Whether the file `place` of an array, such as "3/0/0", must exist in the cube `root`.
+
+    Files of arrays without chunks of steps always do, all files do after the end of the run, and those of a
+    chunk of steps (but for `frame_status`) do once the chunk was measured.
+    """
     attributes = read_metadata(root)["attributes"]
     if name not in CHUNKED or attributes.get(FINISHED):
         return True
@@ -60,14 +65,19 @@ def _is_expected(root: Path, name: str, place: str) -> bool:
 
 
 def is_started(path: Path, number: int) -> bool:
-    """Whether the ledger calls steps of a chunk done; the last four bytes of its file are a checksum."""
+    """Whether `frame_status` has a result, of any kind, for steps of the chunk `number`."""
+    # the last four bytes of its file are a checksum
     with suppress(OSError):
         return any(chunk_path(path, "frame_status", number).read_bytes()[:-4])
     return False
 
 
 def find_store(path: str | Path) -> Path:
-    """The store that is given, or the one cube in a folder that is given."""
+    """Return the path of a store: `path` itself, or the only cube in it if it is a folder of cubes.
+
+    StoreError if the folder holds no cube or several. A path that ends in .zarr or that does not exist is
+    returned unchanged.
+    """
     path = Path(str(path).removeprefix("file://"))
     if not path.is_dir() or (path / "zarr.json").exists() or path.suffix == ".zarr":
         return path
@@ -82,13 +92,13 @@ def find_store(path: str | Path) -> Path:
 
 
 def cubes_in(folder: Path) -> list[Path]:
-    """The cubes in a folder; only ``cube.zarr`` if it is there."""
+    """Return the cubes in a folder, sorted; only ``cube.zarr`` if there is a folder of this name."""
     usual = folder / "cube.zarr"
     return [usual] if usual.is_dir() else [one for one in sorted(folder.glob("*.zarr")) if is_cube(one)]
 
 
 def is_cube(path: Path) -> bool:
-    """Whether a store is a cube, by its attributes; waves, smoothed fields and truths are not."""
+    """Whether the store at `path` is a cube, by its attributes; waves and smoothed fields are not."""
     try:
         attributes = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
         return "recipe" in attributes and MARK_ATTRIBUTE not in attributes
@@ -97,7 +107,7 @@ def is_cube(path: Path) -> bool:
 
 
 def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> CubeGroup:
-    """Open a store made by `create_store`."""
+    """Return the open Zarr group of the cube at `path`; StoreError if it is not a cube or is damaged."""
     read_metadata(path)
     try:
         group = zarr.open_group(CubeStore(path, read_only=mode == "r"), mode=mode, use_consolidated=True)
@@ -110,13 +120,13 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> CubeGroup:
 
 
 def read_array(group: CubeGroup, path: Path, name: str) -> np.ndarray:
-    """All values of an array, as stored; damaged bytes are a `StoreError` that names it."""
+    """Return all values of an array of the cube at `path`, as stored; StoreError if they are damaged."""
     with named_damage(path / name):
         return np.asarray(group[name][...])
 
 
 def read_layout(group: Any) -> StoreLayout:
-    """Sizes of an open store."""
+    """Return the sizes of an open cube."""
     return StoreLayout(
         steps=group["frame_status"].shape[0],
         chunk_steps=int(group.attrs["steps_per_block"]),

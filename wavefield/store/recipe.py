@@ -17,7 +17,7 @@ from wavefield.errors import StoreError
 
 
 def recipe_of(attributes: Mapping[Any, Any]) -> dict[str, Any]:
-    """The recipe in the attributes of a cube, as plain data; empty if there is none."""
+    """Return the recipe in the attributes of a cube, as plain data; empty if there is none."""
     try:
         return dict(json.loads(attributes["recipe"]))
     except (KeyError, TypeError, ValueError):
@@ -30,55 +30,59 @@ _LABELS = ("experiment", "record", "software")
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a cube was made from and how."""
+    """All inputs that a cube was made from, and how; entries are plain data."""
 
     experiment: str  # Name of the experiment
-    # Of every camera the images as the experiment file names them, its offset, its file of time stamps
+    # By camera: images as the experiment file names them, offset of the frame numbers, file of time stamps
     images: Mapping[str, Any]
     frames: tuple[int, int]  # First and last frame number
     frame_rate: float  # Hz
-    grid: Mapping[str, Any]  # As plain data
-    rig: Mapping[str, Any]
-    settings: Mapping[str, Any]
-    packing: str = "float32"  # "float32" or "int16"
-    # What does not count as water, as plain data; empty if all does
+    grid: Mapping[str, Any]  # Limits and step, m
+    rig: Mapping[str, Any]  # Cameras by name (`Camera.to_dict`)
+    settings: Mapping[str, Any]  # Settings of the measurement
+    packing: str = "float32"  # Type of stored values: "float32" or "int16"
+    # Masked areas (`masks.as_data`); empty without masks
     mask: Mapping[str, Any] = field(default_factory=dict)
-    # Checksum of the departures of the frames from even times; empty where these are even
+    # Checksum of the delays of the frames relative to even times; empty if the times are even
     departures: Mapping[str, str] = field(default_factory=dict)
-    # Checksum of the image that is subtracted from the frames of each camera; empty without any
+    # By camera: checksum of the background that is subtracted from its frames; empty without backgrounds
     background: Mapping[str, str] = field(default_factory=dict)
     algorithm: int = 0  # Version of the measurement, raised when its values change
     # What was learned from sample frames of the whole record: beads, spectra, noise
     record: Mapping[str, Any] = field(default_factory=dict)
-    # Versions of this program and of what it rests on
+    # Versions of wavefield and of the libraries that it uses
     software: Mapping[str, str] = field(default_factory=lambda: _software())
 
     def to_json(self) -> str:
-        """The recipe as text for a store's attributes."""
+        """Return the recipe as JSON text, for the attributes of a cube."""
         return json.dumps(asdict(self), sort_keys=True)
 
     @property
     def hash(self) -> str:
-        """Sixteen hexadecimal digits that change whenever values of the cube could."""
+        """Sixteen hexadecimal digits that change if an entry changes on which values of the cube depend."""
         values = {name: value for name, value in asdict(self).items() if name not in _LABELS}
         text = json.dumps(values, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _software() -> dict[str, str]:
+    """Return the versions of wavefield, Python and libraries, by name."""
     packages = ("numpy", "scipy", "numba", "opencv-python-headless", "zarr")
     versions = {name: version(name) for name in packages}
     return {"wavefield": __version__, "python": platform.python_version()} | versions
 
 
 def differences(old: str, new: str) -> list[str]:
-    """Entries, other than labels, in which two recipes differ."""
+    """Return one line per entry in which two recipes (JSON text) differ: "grid.step: 0.01 there, 0.02 here".
+    The name, `record` and versions are not compared; `old` is "there", `new` is "here".
+    """
     a, b = dict(_leaves(json.loads(old))), dict(_leaves(json.loads(new)))
     keys = [key for key in {**a, **b} if key.partition(".")[0] not in _LABELS and a.get(key) != b.get(key)]
     return [f"{key}: {a.get(key)!r} there, {b.get(key)!r} here" for key in keys]
 
 
 def _leaves(data: object, prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the dotted key and the value of every entry of nested mappings."""
     if isinstance(data, dict):
         for key, value in data.items():
             yield from _leaves(value, f"{prefix}.{key}" if prefix else str(key))
@@ -87,7 +91,7 @@ def _leaves(data: object, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _hash_of(recipe: str) -> str:
-    """Hash of a recipe that is given as text; empty for one of another version of this program."""
+    """Return the hash of a recipe given as JSON text; empty if another version wrote it."""
     try:
         return Recipe(**json.loads(recipe)).hash
     except (TypeError, ValueError):
@@ -95,8 +99,10 @@ def _hash_of(recipe: str) -> str:
 
 
 def source_of(cube: Any) -> str:
-    """Identity of a cube, a Dataset or an open store, by its recipe and its images: what is made from it
-    carries this as its source. A Dataset that no run wrote is identified by its axes and name.
+    """Return the identity of a cube (Dataset or open group): a hash of its recipe and images.
+
+    Outputs made from the cube carry it as `Product.source`. For a Dataset that no run wrote it is a hash of
+    its axes and its experiment's name.
     """
     if "recipe_hash" in cube.attrs:
         return identity_of(cube.attrs["recipe_hash"], cube.attrs.get("fingerprints"))
@@ -105,7 +111,9 @@ def source_of(cube: Any) -> str:
 
 
 def state_of(cube: Any) -> str:
-    """Identity of a cube and of the steps that it holds by now; as `source_of` where no run wrote it."""
+    """Return a hash of a cube (Dataset or open group) that changes as further steps are measured.
+    It is `source_of` for a Dataset that no run wrote.
+    """
     if "recipe_hash" not in cube.attrs or "frame_status" not in cube:
         return source_of(cube)
     ledger = np.asarray(cube["frame_status"][...], np.uint8).tobytes().hex()
@@ -113,7 +121,7 @@ def state_of(cube: Any) -> str:
 
 
 def check_recipe(path: Path, attributes: Mapping[str, Any], recipe: Recipe) -> None:
-    """Refuse to go on with a store that was made with another recipe."""
+    """Raise StoreError if the cube at `path` was made with another recipe, by its attributes."""
     there = str(attributes["recipe"])
     if _hash_of(there) == recipe.hash:
         return

@@ -24,17 +24,17 @@ _RANK = {"note": 0, "remark": 1, "grave": 2}
 class Remark:
     """One finding about a measurement."""
 
-    subject: str  # What it is about: a camera, the probes, the record
+    subject: str  # A camera, "probes", "record", ...: the remark is about it
     kind: str  # One word for scripts, such as "mirrored"
     weight: Weight  # note: for information; remark: to be considered; grave: results are not usable
     found: str  # What was found, with the number
     means: str = ""  # What it means for the result
     remedy: str = ""  # What to do
-    values: Mapping[str, float | list[int]] = field(default_factory=dict)  # The numbers behind it
+    values: Mapping[str, float | list[int]] = field(default_factory=dict)  # Numbers in `found`, for scripts
 
     @property
     def code(self) -> str:
-        """The word that `wavefield explain` takes."""
+        """The word that `wavefield explain` accepts for this kind of remark: `kind` with "-" for spaces."""
         return re.sub(r"[^a-z0-9]+", "-", self.kind.lower()).strip("-")
 
     def __str__(self) -> str:
@@ -48,8 +48,9 @@ class Verdict:
     """All remarks on a measurement; ``line`` sums them up, as in: sound with remarks: cam1 focus."""
 
     remarks: tuple[Remark, ...] = ()  # The gravest first
-    pairs: Numbers = field(default_factory=dict)  # Agreement and eps_y of every pair of cameras over time
-    frames: tuple[int, ...] = ()  # The instants of these numbers: frames of the record, from 0
+    # By pair of cameras: agreement and eps_y at each of `frames`
+    pairs: Numbers = field(default_factory=dict)
+    frames: tuple[int, ...] = ()  # Indices of frames in the record, from 0
 
     @classmethod
     def of(
@@ -58,7 +59,7 @@ class Verdict:
         pairs: Numbers | None = None,
         frames: Iterable[int] = (),
     ) -> "Verdict":
-        """Put remarks in order."""
+        """Return a verdict of remarks in any order; other arguments are its fields."""
         ordered = tuple(sorted(remarks, key=lambda remark: -_RANK[remark.weight]))
         return cls(ordered, dict(pairs or {}), tuple(int(k) for k in frames))
 
@@ -77,14 +78,14 @@ class Verdict:
 
     @property
     def exit_status(self) -> int:
-        """Of a command: 3 where a remark matters, else 0."""
+        """Exit status of a command: 3 if a remark is more than a note, else 0."""
         return 0 if self.weight == "note" else 3
 
     def __str__(self) -> str:
         return "\n".join([f"verdict: {self.line}", *(f"  {remark}" for remark in self.remarks)])
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, as for ``--json``."""
+        """Return all of it as plain data, as ``--json`` prints it."""
         return {
             "verdict": WORDS[self.weight],
             "line": self.line,
@@ -94,7 +95,7 @@ class Verdict:
         }
 
     def save(self, store: Path) -> None:
-        """Write the verdict next to a cube, in place of an earlier one."""
+        """Write the verdict next to a cube, in place of an earlier verdict; StoreError if that fails."""
         path = beside(store, "verdict", ".json")
         check_verdict(store)
         data = self.to_dict()
@@ -103,7 +104,9 @@ class Verdict:
 
 
 def read_verdict(store: str | Path) -> Verdict | None:
-    """The verdict on a cube, as its run left it."""
+    """Return the verdict that the run of a cube wrote; None if there is none.
+    StoreError if its file is damaged or was changed.
+    """
     path = beside(Path(store), "verdict", ".json")
     try:
         refuse_pipe(path, StoreError)
@@ -124,7 +127,7 @@ def read_verdict(store: str | Path) -> Verdict | None:
 
 
 def check_verdict(store: Path) -> None:
-    """Refuse to replace a file that is not a verdict."""
+    """Raise StoreError if a file that is not a verdict is in the place of a cube's verdict."""
     path = beside(store, "verdict", ".json")
     try:
         known = read_verdict(store) is not None
@@ -134,4 +137,5 @@ def check_verdict(store: Path) -> None:
 
 
 def _checksum(data: Mapping[str, object]) -> int:
+    """Return the CRC-32 of a verdict's plain data."""
     return zlib.crc32(json.dumps(data, sort_keys=True).encode())

@@ -17,21 +17,21 @@ from wavefield.text import spell_ranges
 
 @dataclass(frozen=True)
 class Damage:
-    """What is wrong with one chunk of one variable."""
+    """Damage of one chunk of one variable."""
 
     variable: str
-    start: int  # Range of steps
-    stop: int
+    start: int  # First step of the chunk
+    stop: int  # Step after its last
     what: str  # "missing" or "not as it was written"
 
 
 @dataclass(frozen=True)
 class Verification:
-    """What was found in a store."""
+    """Result of `verify`: the damage in a store."""
 
     store: Path
     steps: int = 0  # Steps of the whole run; 0 for waves and smoothed fields
-    done: int = 0  # Steps that the ledger calls done
+    done: int = 0  # Steps that the run has tried, failed ones included, in chunks with a sound `frame_status`
     damages: tuple[Damage, ...] = ()
     marked: bool = False  # Whether the damaged chunks are now marked as not measured
 
@@ -42,7 +42,7 @@ class Verification:
 
     @property
     def starts(self) -> list[int]:
-        """First steps of the damaged chunks, in order."""
+        """The first step of each damaged chunk, in order."""
         return sorted({damage.start for damage in self.damages})
 
     def __str__(self) -> str:
@@ -66,14 +66,14 @@ class Verification:
 
 
 def verify(store: str | Path, progress: Callable[[int, int], None] | None = None) -> Verification:
-    """Read every chunk that a cube calls done, and compare it with its checksum.
+    """Read every chunk that a run has written, and compare it with its checksum.
 
     Parameters
     ----------
     store : path
         A cube, finished or not, or a store of waves or smoothed fields.
     progress : callable, optional
-        Called with (chunks done, all chunks).
+        Called with (number of chunks read, number of all chunks).
 
     Returns
     -------
@@ -86,8 +86,8 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
 
     Notes
     -----
-    Damaged chunks of a cube are marked as not measured: the next run measures them again. Waves and smoothed
-    fields have one digest for the whole store.
+    Damaged chunks of a cube are marked as not measured, if the cube can be written. The next run measures
+    them again. Waves and smoothed fields have one digest for the whole store.
 
     Examples
     --------
@@ -128,7 +128,9 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
 def _damages(
     path: Path, group: CubeGroup, layout: StoreLayout, number: int, read: bool = True
 ) -> Iterator[Damage]:
-    """Damage of a chunk with steps done: unreadable variables, or (unless `read`) only missing files."""
+    """Yield the damage of the chunk `number` of a cube; none if the run has not written the chunk.
+    With `read` every variable is read, else only the files are looked for.
+    """
     start, stop = layout.chunks()[number]
 
     def damage(name: str) -> Damage:
@@ -152,7 +154,9 @@ def _damages(
 
 
 def missing_chunks(path: Path, layout: StoreLayout) -> list[int]:
-    """First steps of chunks that the ledger calls done although files are missing."""
+    """Return the first step of each chunk that is not as `frame_status` has it.
+    Steps of the chunk have a result but a file is missing, or `frame_status` itself is damaged.
+    """
     group = open_group(path)
     numbered = enumerate(layout.chunks())
     return [

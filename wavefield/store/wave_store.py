@@ -17,7 +17,11 @@ KIND = "wave store"
 
 
 def write_waves(tree: xr.DataTree, path: str | Path, source: str = "", inputs: Iterable[object] = ()) -> None:
-    """Write the groups of an analysis of a cube (`source_of`); the store appears complete or not at all."""
+    """Write the groups of an analysis as a wave store at `path`, completely or not at all.
+
+    `source` identifies the cube (`source_of`); only waves of the same source are replaced. `inputs` are files
+    that the same command reads. StoreError if the store cannot be written or something else is there.
+    """
     # Zarr 3 has strings of any length only
     tree = tree.map_over_datasets(
         lambda group: group.assign_coords(
@@ -50,13 +54,13 @@ def open_waves(path: str | Path) -> xr.DataTree:
     Returns
     -------
     DataTree
-        One group per product: ``spectra``, ``komega``, ``coherence``, ...; attributes and variables are in
-        the page on the wave store.
+        One group per result: ``spectra``, ``komega``, ``coherence``, ... The page on the wave store lists
+        their attributes and variables.
 
     Raises
     ------
     StoreError
-        If it is not there, of an earlier version, or its content is not as it was written.
+        If the store is not there, was written by an earlier version, or was changed or damaged.
 
     Examples
     --------

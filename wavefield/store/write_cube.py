@@ -38,8 +38,11 @@ def write_chunk(
     frame_status: np.ndarray,
     faults: Mapping[str, Mapping[int, FrameFault]],
 ) -> None:
-    """Write all results of one chunk, the ledger last; no other function writes results.
-    Fields are (n, ny, nx), frame_status is (n,).
+    """Write all results of one chunk into the cube at `path`, `frame_status` last.
+
+    `start` is the first step of the chunk. `fields` are the variables `CUBE_FIELDS`, (n, ny, nx), unpacked.
+    `frame_status` is (n,), the `FrameStatus` of each step. `faults` are the bad frames of each camera by
+    index in the record. ValueError if sizes or names are wrong, StoreError if the disk fails.
     """
     group = open_group(path, "r+")
     layout = read_layout(group)
@@ -75,9 +78,10 @@ def write_chunk(
 
 
 def clear_steps(path: Path, steps: Sequence[int]) -> None:
-    """Mark measured steps as discontinuous and clear their values: NaN, and 0 in `quality`.
+    """Mark measured steps (indices) as discontinuous and clear their values: NaN, and 0 in `quality`.
 
-    The status of all steps is written before any value: a run that is cut off finds it and clears the rest.
+    Steps that are not measured or have failed are left as they are. The status of all steps is written before
+    any value, so that a run can clear the rest after an interruption.
     """
     group = open_group(path, "r+")
     layout = read_layout(group)
@@ -105,7 +109,9 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
 
 
 def relabel(path: Path, name: str, description: Mapping[str, object]) -> list[str]:
-    """Give a cube the name and the attributes (`DESCRIPTION`) of an experiment; returns what differed."""
+    """Set the name and the descriptive attributes (`DESCRIPTION`) of a cube to those of an experiment.
+    Returns one line per changed attribute, "KEY: old there, new here".
+    """
     labels = {"experiment": name, "title": title(name), **dict.fromkeys(DESCRIPTION), **description}
     there = open_group(path).attrs
     changed = [key for key, value in labels.items() if there.get(key) != value]
@@ -115,13 +121,13 @@ def relabel(path: Path, name: str, description: Mapping[str, object]) -> list[st
 
 
 def _write_ledger(path: Path, group: CubeGroup, start: int, frame_status: np.ndarray) -> None:
-    """Write the status of a chunk's steps."""
+    """Write `frame_status` of the chunk that begins with step `start`, and wait until it is on the disk."""
     group["frame_status"][start : start + frame_status.size] = frame_status
     _to_disk(path, start // read_layout(group).chunk_steps, ("frame_status",))
 
 
 def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
-    """Wait until a chunk's files, and the folders that contain them, are on the disk."""
+    """Wait until a chunk's files of the named arrays, and their folders, are on the disk."""
     folders: dict[Path, None] = {}
     for name in names:
         file = chunk_path(path, name, chunk)
@@ -133,7 +139,7 @@ def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
 
 
 def reset_chunks(path: Path, starts: Sequence[int]) -> None:
-    """Mark chunks as not started: they are measured again by the next run."""
+    """Mark chunks, given by their first steps, as not started: the next run measures them again."""
     if not starts:
         return
     update_metadata(path, {FINISHED: None})
@@ -144,7 +150,7 @@ def reset_chunks(path: Path, starts: Sequence[int]) -> None:
 
 
 def remove_partial_files(path: Path) -> None:
-    """Remove unfinished files of killed writers, recognised by the names that Zarr gives them."""
+    """Remove the unfinished files that killed writers left in a store; Zarr names them *.HEX.partial."""
     for file in path.rglob("*.partial"):
         if re.search(r"\.[0-9a-f]{32}\.partial$", file.name):
             file.unlink(missing_ok=True)

@@ -35,7 +35,11 @@ __all__ = ["ENDINGS", "VIDEO_ENDINGS", "Recording", "open_recording", "recording
 
 
 def open_recording(path: str | Path) -> Recording:
-    """Open a recording: its header is read, its images are not."""
+    """Open a recording and read its header, but no image unless the header gives no size (video, DaVis).
+
+    `path` is the file, or file/name for one of several series in a file. FrameError if the file is missing,
+    damaged, or of an unknown ending.
+    """
     path = Path(path)
     file = recording_path(path)
     if file is None:
@@ -57,5 +61,7 @@ def open_recording(path: str | Path) -> Recording:
 
 
 def recording_path(path: Path) -> Path | None:
-    """The recording of a path such as ``run.cine`` or ``run.h5/cam1/images``; None if there is none."""
+    """Return the recording's file in a path such as ``run.cine`` or ``run.h5/cam1/images``, by its ending.
+    None if no part of the path ends as a recording does; the file need not exist.
+    """
     return next((part for part in (path, *path.parents) if part.suffix.lower() in _OPENERS), None)

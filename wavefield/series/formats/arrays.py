@@ -28,7 +28,7 @@ SECONDS = {
 
 
 class _Dataset:
-    """An HDF5 dataset (image, row, column), read as a recording."""
+    """An HDF5 dataset (image, row, column) as a `Recording`; `path` names it in messages."""
 
     def __init__(self, path: Path, file: h5py.File, data: h5py.Dataset) -> None:
         self.path, self._file, self._data = path, file, data
@@ -39,7 +39,7 @@ class _Dataset:
         self.first = 0
 
     def read(self, index: int) -> Pixels:
-        """Read one image."""
+        """Return the image at an index from 0, (row, column); FrameError if it cannot be read."""
         refuse_index(index, self.count, self.path)
         try:
             image = np.asarray(self._data[index])
@@ -48,7 +48,7 @@ class _Dataset:
         return image.astype(image.dtype.newbyteorder("="), copy=False)
 
     def times(self) -> Times:
-        """Times of the images, s; empty where the file does not hold them."""
+        """Return the times of the images, (count,), s; empty if the file has none."""
         return self._times
 
     def close(self) -> None:
@@ -57,7 +57,9 @@ class _Dataset:
 
 
 def _times(data: h5py.Dataset) -> Times:
-    """Times of images, s: the coordinate of the first dimension (netCDF), or a dataset `time` next to it."""
+    """Return the times of images, (count,), s; empty if the file has none with a known unit.
+    They are the coordinate of the first dimension (netCDF), or else the dataset `time` of the same group.
+    """
     scales = [scale for scale in data.dims[0].values() if scale.ndim == 1]
     in_folder = data.parent.get("time")
     for stored in (*scales, in_folder):
@@ -69,14 +71,17 @@ def _times(data: h5py.Dataset) -> Times:
 
 
 def _rate(times: Times) -> float | None:
-    """Images per second, by the usual interval."""
+    """Return the number of images per second from their times, s; None without times."""
     usual = usual_interval(times)
     return float(f"{1 / usual:.6g}") if usual > 0 else None
 
 
 def open_hdf5(path: Path) -> Recording:
-    """Open images in HDF5; times are the first dimension's coordinate, or a dataset ``time`` beside them,
-    with ``units`` ("s", "ms since ..."); the rate is the attribute ``frame_rate``, or that of the times.
+    """Open a stack of images in an HDF5 file; FrameError if the file or the dataset cannot be read.
+
+    `path` is the file, or file/dataset if it holds several stacks. Times are read from the coordinate of the
+    first dimension, else from a dataset ``time`` in the same group. Their attribute ``units`` must be a unit
+    of time ("s", "ms since ..."). The rate is the attribute ``frame_rate``, else derived from the times.
     """
     import h5py
 
@@ -95,6 +100,7 @@ def open_hdf5(path: Path) -> Recording:
 
 
 def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
+    """Return the dataset named `inside`, or the only stack of images if that is empty; else FrameError."""
     import h5py
 
     series: list[str] = []
@@ -120,24 +126,25 @@ def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
 
 
 class ZarrImages:
-    """An array of images in Zarr, on a disk or in an object store."""
+    """A Zarr array (image, row, column) on a disk or in an object store; FrameError if `path` is none."""
 
     def __init__(self, path: str) -> None:
         self.path, self._array = path, _open_zarr(path)
         self.count = int(self._array.shape[0])
 
     def read(self, index: int) -> Pixels:
-        """Read one image, (row, column)."""
+        """Return the image at an index from 0, (row, column); FrameError if it cannot be read."""
         try:
             return np.asarray(self._array[index])
         except Exception as error:
             raise FrameError(f"{self.path}, image {index}: {one_line(error)}") from None
 
     def close(self) -> None:
-        """Nothing stays open."""
+        """Do nothing: no file stays open."""
 
 
 def _open_zarr(path: str) -> Any:
+    """Return the Zarr array at a path or address, or the array `image` of a group; FrameError if it fails."""
     import zarr  # takes long, for the few who have such images
 
     folder = Path(path)
@@ -159,7 +166,7 @@ def _open_zarr(path: str) -> Any:
 
 
 def is_remote(name: str) -> bool:
-    """Whether a name is an address rather than a path.
+    """Whether a name is the address of an object store, such as s3://..., rather than a path.
 
     Examples
     --------
@@ -170,7 +177,7 @@ def is_remote(name: str) -> bool:
 
 
 def refuse_password(address: str) -> None:
-    """Refuse an address that contains a password or token, without repeating it.
+    """Raise ValueError, which does not repeat the address, if the address contains a password or token.
 
     Examples
     --------

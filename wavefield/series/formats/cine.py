@@ -27,7 +27,7 @@ _PACKED = {256: 10, 1024: 12}  # biCompression to bits
 
 
 def open_cine(path: Path) -> Recording:
-    """Open a cine file of grey or raw images."""
+    """Open a cine file of grey or raw images, uncompressed; FrameError if it is damaged or another kind."""
     with path.open("rb") as stream:
         head = stream.read(_HEADER.size)
         if len(head) < _HEADER.size or head[:2] != b"CI":
@@ -68,7 +68,7 @@ def open_cine(path: Path) -> Recording:
 
 
 def _times(stream: BinaryIO, at_setup: int, at_offsets: int) -> NDArray[np.float64]:
-    """Times of the images, s; empty where the file does not hold them."""
+    """Return the times of the images, s; empty if the file has none. `at_...` are positions in it, bytes."""
     stream.seek(at_setup + _MARK)
     mark = stream.read(4)
     place = at_setup + int.from_bytes(mark[2:], "little")

@@ -9,7 +9,7 @@ from wavefield.series.formats.recording import Pixels, Recording, no_times, refu
 
 
 class _Set:
-    """One image of every buffer of a set, as a recording."""
+    """A `Recording` of one image of every buffer of a set: image `frame`, from 0, of each .im7 file."""
 
     def __init__(self, path: Path, buffers: list[Path], frame: int) -> None:
         self.path, self._buffers, self._frame = path, buffers, frame
@@ -20,16 +20,18 @@ class _Set:
         self.times = no_times
 
     def read(self, index: int) -> Pixels:
-        """Read one image."""
+        """Return the image of a buffer, by its index from 0, (row, column); FrameError if that fails."""
         refuse_index(index, self.count, self.path)
         return read_buffer(self._buffers[index], self._frame)
 
     def close(self) -> None:
-        """Nothing stays open."""
+        """Do nothing: no file stays open."""
 
 
 def open_davis(path: Path) -> Recording:
-    """Open a set of DaVis."""
+    """Open a set of DaVis, ``run.set``, or ``run.set/1`` for the second image of each buffer.
+    FrameError if buffers are missing or damaged, or if the path does not tell which of several images.
+    """
     name = path if path.suffix.lower() == ".set" else path.parent
     folder = name.with_suffix("")
     buffers = _in_order(list(folder.glob("*.im7")))
@@ -45,7 +47,9 @@ def open_davis(path: Path) -> Recording:
 
 
 def _in_order(buffers: list[Path]) -> list[Path]:
-    """Sort buffers by the number (up to six digits) that ends their names; missing ones leave a gap."""
+    """Sort buffers by the number at the end of their names; a missing number gets the path it should have.
+    Names without a number of up to six digits are sorted as text.
+    """
     ends = [re.search(r"(?<!\d)\d{1,6}$", path.stem) for path in buffers]
     numbered = {int(end[0]): path for end, path in zip(ends, buffers) if end}
     if not buffers or len(numbered) < len(buffers):

@@ -27,7 +27,9 @@ _XML = {
 
 
 def open_photron(path: Path) -> Recording:
-    """Open a recording of Photron's cameras."""
+    """Open a recording of a Photron camera by the path of its .mraw, .cihx or .cih file.
+    FrameError if one of the two files is missing or damaged, or if the images are not grey.
+    """
     note = _with_ending(path, ".cihx", ".cih", ".CIHX", ".CIH")
     if note is None:
         raise FrameError(f"{path} has no .cihx or .cih next to it, which states how large its images are")
@@ -56,10 +58,12 @@ def open_photron(path: Path) -> Recording:
 
 
 def _with_ending(path: Path, *endings: str) -> Path | None:
+    """Return the first existing file of a path's name with one of the endings; None if there is none."""
     return next((file for file in map(path.with_suffix, endings) if file.is_file()), None)
 
 
 def _number(text: str | None) -> float | None:
+    """Return a number from text; None without text or if it is not a number."""
     try:
         return float(text) if text else None
     except ValueError:
@@ -67,6 +71,7 @@ def _number(text: str | None) -> float | None:
 
 
 def _read_text(path: Path) -> dict[str, str]:
+    """Return the entries of a .cih file by name, from its lines `name : value`."""
     out = {}
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         name, colon, value = line.partition(":")
@@ -76,7 +81,7 @@ def _read_text(path: Path) -> dict[str, str]:
 
 
 def _read_xml(path: Path) -> dict[str, str]:
-    """The XML part of a file that begins and ends with binary bytes."""
+    """Return the entries of a .cihx file, by their names in a .cih; FrameError if its XML is damaged."""
     data = path.read_bytes()
     xml = re.search(rb"<cih>.*</cih>", data, re.DOTALL)
     if not xml:

@@ -19,25 +19,25 @@ Stream = FileIO | BytesIO
 
 
 class Recording(Protocol):
-    """A file of many images (row, column), of which any one can be read without its neighbours."""
+    """A file of many images (row, column); any image can be read without its neighbours."""
 
-    count: int
-    shape: tuple[int, int]
-    rate: float | None
-    first: int
+    count: int  # Images in it
+    shape: tuple[int, int]  # Rows and columns
+    rate: float | None  # Images per second; None if the file does not tell
+    first: int  # Number that the camera gave the first image
 
     def read(self, index: int) -> Pixels:
-        """Read one image, (row, column), counted from 0; a `FrameError` where it is not complete."""
+        """Return the image at an index from 0, (row, column); FrameError if it cannot be read."""
 
     def times(self) -> Times:
-        """Times of the images, (count,), s; empty where the file does not hold them."""
+        """Return the times of the images, (count,), s; empty if the file has none."""
 
     def close(self) -> None:
         """Close the file."""
 
 
 def read_fully(out: Pixels, stream: Stream) -> None:
-    """Read bytes until an array is full; `EOFError` where there are too few."""
+    """Fill the array `out` with the next bytes of a file; EOFError if the file ends before."""
     rest = memoryview(out.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # which is a buffer
     while rest:
         count = stream.readinto(rest)
@@ -47,13 +47,13 @@ def read_fully(out: Pixels, stream: Stream) -> None:
 
 
 def no_times() -> Times:
-    """Times of a file that contains none: empty."""
+    """Return an empty array: the `times` of a recording that has none."""
     return np.empty(0)
 
 
 @dataclass
 class RawRecording:
-    """A recording whose images are at known places in the file, their pixels uncompressed."""
+    """A recording with uncompressed pixels, each image at a known place in the file."""
 
     path: Path  # The file
     count: int  # Images in it
@@ -61,14 +61,14 @@ class RawRecording:
     start: Callable[[int], int]  # From the number of an image, from 0, to the byte where its pixels start
     # Reads an image, (row, column), from a file positioned at its pixels; `EOFError` where it ends before
     take: Callable[[Stream], Pixels]
-    rate: float | None = None  # Images per second, where the file states it
+    rate: float | None = None  # Images per second; None if the file does not tell
     first: int = 0  # Number that the camera gave the first image
-    prefixed: bool = False  # Each image begins with a note, whose length in bytes are its first four
-    times: Callable[[], Times] = no_times
+    prefixed: bool = False  # Whether a note precedes the pixels; its first four bytes are its length in bytes
+    times: Callable[[], Times] = no_times  # Returns the times of the images, (count,), s; empty without
     _stream: FileIO | None = field(default=None, repr=False)
 
     def read(self, index: int) -> Pixels:
-        """Read one image, (row, column), without its neighbours."""
+        """Return the image at an index from 0, (row, column); FrameError if it cannot be read."""
         refuse_index(index, self.count, self.path)
         try:
             return self.take(self._at(index))
@@ -78,7 +78,7 @@ class RawRecording:
             raise FrameError(f"{self.path} ends within image {index}: is it truncated?") from None
 
     def _at(self, index: int) -> FileIO:
-        """The open file, positioned at the pixels of an image."""
+        """Return the open file, positioned at the pixels of the image at an index."""
         if self._stream is None:
             self._stream = FileIO(str(self.path))
         place = self.start(index)
@@ -96,33 +96,37 @@ class RawRecording:
 
 
 def usual_intervals(times: Times) -> Times:
-    """Intervals of times, s, without those across dropped images; empty if their median is not positive."""
+    """Return the intervals between times, s, that differ by less than half from their median.
+    Intervals across dropped images are thus left out; empty if the median is not positive.
+    """
     intervals = np.diff(times)
     middle = float(np.median(intervals)) if len(intervals) else 0.0
     return intervals[np.abs(intervals / middle - 1.0) < 0.5] if middle > 0 else np.empty(0)
 
 
 def usual_interval(times: Times) -> float:
-    """Mean of the usual intervals of times, s; 0 if there are none."""
+    """Return the mean interval between times, s, without those across dropped images; 0 if none is left."""
     usual = usual_intervals(times)
     return float(usual.mean()) if len(usual) else 0.0
 
 
 def refuse_index(index: int, count: int, path: Path) -> None:
-    """Refuse the number of an image that a recording does not have."""
+    """Raise FrameError if a recording of `count` images has no image `index`."""
     if not 0 <= index < count:
         raise FrameError(f"{path} has {count} images: there is no image {index}")
 
 
 def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
-    """Rows and columns; implausible sizes are refused."""
+    """Return (rows, columns); FrameError if a size is not between 1 and 65536, as in a damaged header."""
     if not (0 < width <= 65536 and 0 < height <= 65536):
         raise FrameError(f"{path} has images of {width} x {height} px by its header, which is damaged")
     return height, width
 
 
 def complete_images(path: Path, count: int, start: Callable[[int], int], each: int) -> int:
-    """Number of complete images; a recording that was cut short keeps the images before the cut."""
+    """Return how many of the `count` images of a file are complete; FrameError if none is.
+    `start` gives the byte at which an image begins, `each` is the number of bytes of an image.
+    """
     complete = bisect_right(range(count), path.stat().st_size, key=lambda index: start(index) + each)
     if not complete:
         raise FrameError(f"{path} holds not one complete image: it is empty or truncated")
@@ -132,8 +136,10 @@ def complete_images(path: Path, count: int, start: Callable[[int], int], each: i
 def pixels(
     shape: tuple[int, int], bits: int, *, upside_down: bool = False
 ) -> tuple[Callable[[Stream], Pixels], int]:
-    """Reader of an image and its bytes in the file: whole bytes for 8 and 16 bits, else packed.
-    Packed pixels follow one another with the highest bit first.
+    """Return a function that reads an image from an open file, and the number of bytes of an image.
+
+    `shape` is (rows, columns), `bits` the bits per pixel. Pixels of 8 or 16 bits have whole bytes; others are
+    packed, with the highest bit first. `upside_down`: the file begins with the lowest row (not if packed).
     """
     count = shape[0] * shape[1]
     size = (count * bits + 7) // 8

@@ -19,7 +19,9 @@ UNTIMED = (".avi",)  # containers without presentation times: compressed frames 
 
 
 class Video:
-    """The frames of a video that are shown, as a recording."""
+    """The frames of a video as a `Recording`; frames that the container marks as not shown are left out.
+    FrameError if it cannot be read as a video.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path, self.first = path, 0
@@ -49,6 +51,7 @@ class Video:
         self.shape = (image.shape[0], image.shape[1])
 
     def _open(self) -> None:
+        """Open the file and its first video stream; FrameError if that fails."""
         try:
             self._container = av.open(str(self.path))
             self._stream = self._container.streams.video[0]
@@ -59,30 +62,31 @@ class Video:
         self._stream.thread_type = "AUTO"
 
     def _decoded(self) -> Any:
+        """Yield the frames from here on, until the end or until damage."""
         try:
             yield from self._container.decode(self._stream)
         except (av.FFmpegError, ValueError):
             return  # what follows damage is not decoded
 
     def _rewind(self) -> None:
-        """Go back to the first frame."""
+        """Open the file again, at its first frame."""
         self._container.close()
         self._open()
         self._frames, self._next = self._decoded(), 0
 
     def _seconds(self) -> Times:
-        """Times of the frames from the first, s."""
+        """Return the times of the frames after the first frame, (count,), s."""
         base = self._stream.time_base
         return np.array(self._stamps, float) * float(base or 1.0) - self._stamps[0] * float(base or 1.0)
 
     def _rate(self, times: Times) -> float | None:
-        """Frames per second by the usual interval, to four digits; the nominal rate without times."""
+        """Return the frames per second from `times`, s, to four digits; without times the nominal rate."""
         if self._timed and self.count > 1:
             return float(f"{1 / usual_interval(times):.4g}")
         return float(self._stream.guessed_rate or self._stream.average_rate or 0) or None
 
     def read(self, index: int) -> Pixels:
-        """Read one frame, (row, column); frames in turn are decoded once."""
+        """Return the frame at an index from 0, (row, column); FrameError if it cannot be decoded."""
         refuse_index(index, self.count, self.path)
         stamp = self._stamps[index]
         if index < self._next or (self._timed and self._key(stamp) > self._key(self._stamps[self._next])):
@@ -98,11 +102,11 @@ class Video:
         raise FrameError(f"{self.path}, image {index}: cannot be decoded; is it damaged?")
 
     def _key(self, stamp: int) -> int:
-        """Time of the last key frame (coded without others) at or before a time."""
+        """Return the time of the last key frame (coded without others) at or before `stamp`, in ticks."""
         return max((pts for pts, _ in self._keys if pts <= stamp), default=self._stamps[0])
 
     def _seek(self, stamp: int) -> None:
-        """Go to where decoding of a frame has to begin."""
+        """Move to the key frame at or before `stamp`, in ticks; to the first frame if there are no times."""
         key = dict(self._keys).get(self._key(stamp))
         if not self._timed or key is None:
             self._rewind()
@@ -116,7 +120,7 @@ class Video:
 
     @property
     def rotation(self) -> int:
-        """Degrees by which the container states that its frames are to be turned; they are not."""
+        """Rotation for display that the container gives, degrees; `read` does not turn the frames."""
         self._rewind()
         frame = next(iter(self._frames), None)
         self._rewind()
@@ -128,7 +132,7 @@ class Video:
 
 
 def _luminance(frame: Any) -> NDArray[Any]:
-    """Luminance of a frame as it is stored, (row, column), of 8 or 16 bits."""
+    """Return the stored luminance of a decoded frame, (row, column), 8 or 16 bits; RGB is made grey."""
     form = frame.format
     if form.is_rgb or form.has_palette:
         return grey(frame.to_ndarray(format="rgb24"))
@@ -142,5 +146,5 @@ def _luminance(frame: Any) -> NDArray[Any]:
 
 
 def open_video(path: Path) -> Video:
-    """Open a video."""
+    """Open a video file; FrameError if it cannot be decoded or has no complete frame."""
     return Video(path)
