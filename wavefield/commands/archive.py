@@ -26,7 +26,7 @@ Examples:
 def export(context: click.Context, store: Path, output: Path, steps: str | None) -> None:
     """Write a cube as NetCDF, MATLAB or UVMAT files.
 
-    The ending of OUTPUT chooses the format. The exit status is 3 where steps of the cube are missing.
+    The ending of OUTPUT chooses the format. The exit status is 3 if steps of the cube are missing.
     """
     from wavefield.store import export as exports
     from wavefield.store.ledger import unfinished_note
@@ -47,7 +47,10 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None)
 
 
 def _slice(words: str | None) -> slice | None:
-    """Return the slice of words such as 0:500:5."""
+    """Return the slice of the steps that words such as 0:500:5 name; None without words.
+
+    Raises BadParameter if the words have another form.
+    """
     if words is None:
         return None
     try:
@@ -63,17 +66,17 @@ def _slice(words: str | None) -> slice | None:
 
 @click.group()
 def catalog() -> None:
-    """Keep many experiments and their cubes in one file."""
+    """Keep a list of experiments and their cubes in one file."""
 
 
 @catalog.command(epilog="\b\nExample:\n  wavefield catalog add campaign.yaml run07/experiment.yaml")
 @click.argument("catalog", type=FILE)
 @EXPERIMENT
 def add(catalog: Path, experiment: Path) -> None:
-    """Register an experiment; make the catalog if it is missing.
+    """Add an experiment to a catalog; a missing catalog is made.
 
     The catalog is an intake file: `intake.open_catalog` opens it, and `wavefield run CATALOG` runs all or
-    some of its entries.
+    some of its experiments.
     """
     from wavefield.pipeline.catalog import catalog_add
 
@@ -86,7 +89,10 @@ _PROGRAMS = ("wavefield", "uvmat", "opencv", "matlab")
 
 
 class _Files(click.Group):
-    """A group of commands that runs `convert` if its first word is a file."""
+    """A group of commands that runs `convert` if the first word is no command of the group.
+
+    A first word `show` may precede the files; it is skipped unless it is a file.
+    """
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if args and args[0] not in (*self.commands, "-h", "--help"):
@@ -106,7 +112,7 @@ Examples:
 """,
 )
 def rig() -> None:
-    """Show, convert or level rigs, also those of other programs."""
+    """Show, convert or level rigs, of wavefield or another program."""
 
 
 rig.add_command(level)
@@ -137,10 +143,10 @@ Examples:
 def convert(
     files: tuple[str, ...], output: Path | None, to: str, size: tuple[str, ...], unit: str | None
 ) -> None:
-    """Show a rig, or convert one from or to another program's.
+    """Show a rig, or convert it between the formats of wavefield and other programs.
 
-    FILES is one file, or camera=file for each camera: of wavefield, UVMAT, VIC-3D, DICe, DaVis, OpenCV or
-    MATLAB. Any other calibration: write its numbers into a rig.yaml (see the page Rig file).
+    FILES is one file, or camera=file for each camera, in the format of wavefield, UVMAT, VIC-3D, DICe, DaVis,
+    OpenCV or MATLAB. For other programs, write the numbers into a rig.yaml by hand (page Rig file).
     """
     from wavefield.atomic_write import atomic, refuse_input
     from wavefield.rig import formats
@@ -172,7 +178,11 @@ def convert(
 
 
 def _sizes(given: tuple[str, ...], names: list[str]) -> dict[str, tuple[int, int]]:
-    """Return the image size of each camera from words such as 1024x1024 and cam1=1024x1024."""
+    """Return image sizes (width, height), px, by camera from words such as 1024x1024 and cam1=1024x1024.
+
+    A word without a camera counts for all `names`, or for cam1 to cam4 if there are none. Raises BadParameter
+    if a word has another form.
+    """
     out: dict[str, tuple[int, int]] = {}
     for entry in given:
         name, _, words = entry.rpartition("=")

@@ -16,14 +16,17 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class CommandSource:
-    """The argument of a command: an experiment, a cube, or a catalog and some of its runs."""
+    """What a command works on: an experiment, a cube, or a catalog and some of its runs."""
 
     path: Path
-    entries: tuple[str, ...]  # Runs of a catalog; all if none is named
-    parameters: dict[str, str]  # Values of the catalog's parameters
+    entries: tuple[str, ...]  # names of the runs of a catalog; empty for all runs
+    parameters: dict[str, str]  # values that the user set for parameters of the catalog, by name
 
     def is_catalog(self) -> bool:
-        """Return whether the path is a catalog; raise UsageError if runs of something else are named."""
+        """Return whether the path is a catalog.
+
+        Raises UsageError if it is not, but the user named runs or parameters of a catalog.
+        """
         from wavefield.pipeline import is_catalog
 
         if self.path.is_file() and is_catalog(self.path):
@@ -33,7 +36,10 @@ class CommandSource:
         return False
 
     def cubes(self) -> list[tuple[str, Path]]:
-        """Return the names of a catalog's runs and the paths of their newest cubes."""
+        """Return the name of each chosen run of a catalog, and the path of its cube, which need not exist.
+
+        It is the cube of the recipe that was run last, unless the parameters name another recipe.
+        """
         from wavefield.pipeline.catalog import cube_of, runs_of
 
         return [
@@ -42,12 +48,15 @@ class CommandSource:
         ]
 
     def for_each_cube(self, work: Callable[[Path], int]) -> int:
-        """Work on the cube, or on the cube of each run of a catalog; return the exit status."""
+        """Call `work` with the cube, or with the cube of each run of a catalog; return the exit status."""
         return each(self.cubes(), with_cube(work)) if self.is_catalog() else work(find_cube(self.path))
 
 
 def named(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """Return the values of a catalog's parameters, given by words such as ``location=/disk2``."""
+    """Return values by the name of a parameter of a catalog, from words such as ``location=/disk2``.
+
+    Raises BadParameter if a word has no "=". Click passes the other arguments.
+    """
     for value in values:
         if "=" not in value:
             raise click.BadParameter(f"{value!r}: write name=value")
@@ -55,7 +64,10 @@ def named(context: click.Context, parameter: click.Parameter, values: tuple[str,
 
 
 def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that gives a command the argument `source`, a `CommandSource`."""
+    """Return a decorator that gives a command the argument `source`, a `CommandSource`.
+
+    `metavar` stands for the argument in the help text, such as "CUBE|CATALOG".
+    """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(command)
@@ -87,9 +99,10 @@ def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., 
 
 
 def each(runs: Sequence[tuple[str, T]], work: Callable[[str, T], int], quiet: bool = False) -> int:
-    """Work on every run and print its name; an error in one does not stop the others.
+    """Call `work` with the name and item of every run; an error in one run does not stop the others.
 
-    Returns the exit status of all of them.
+    Returns the worst exit status of all runs, where a WavefieldError counts as 1. Prints the name of each run
+    first, unless `quiet`.
     """
     statuses = []
     for number, (run, item) in enumerate(runs, 1):
@@ -109,7 +122,10 @@ def worst(statuses: Sequence[int]) -> int:
 
 
 def with_cube(work: Callable[[Path], int]) -> Callable[[str, Path], int]:
-    """Return the work as `each` calls it; it raises StoreError if a run has no cube yet."""
+    """Return `work`, which takes a cube, as a function of the name and cube of a run, as `each` calls it.
+
+    It raises StoreError if the run has no cube yet.
+    """
 
     def checked(run: str, cube: Path) -> int:
         if not cube.is_dir():

@@ -90,7 +90,7 @@ def check(
 
 
 def _next(found: Check, source: Path, rig: Path | None) -> None:
-    """Print the next command: a calibration, `check` after a correction, a trial, or the run."""
+    """Print the next command: `calibrate`, `check` after a correction, a trial of 50 frames, or the run."""
     if found.problems:
         if not found.rig and any("wavefield calibrate" in problem for problem in found.problems):
             print_next("calibrate", source)
@@ -120,7 +120,7 @@ def _report(
 
 
 def _pairs_table(prepared: PreparedRun) -> str:
-    """Return a table of the differences between pairs of cameras in the middle of the record."""
+    """Return a table of the differences between pairs of cameras in a step near the middle of the record."""
     from wavefield.measurement.diagnostics import diagnose_around
     from wavefield.rig.field import pixel_size
 
@@ -144,7 +144,10 @@ def _pairs_table(prepared: PreparedRun) -> str:
 
 
 def _carried_lines(found: Diagnosis, pixel: float) -> list[str]:
-    """Return lines on the noise, the shortest waves that are resolved, and the size of the beads."""
+    """Return lines on the noise, the shortest waves that are resolved, and the size of the beads.
+
+    `pixel` is the size of a pixel on the water, m.
+    """
     noise = ", ".join(f"{name} {value / pixel:.3f}" for name, value in found.noise.items())
     lines = [f"  standard uncertainty, two frames, px: {noise}"]
     carried = ", ".join(f"{name} {100 * length:.1f}" for name, length in found.carried.items())

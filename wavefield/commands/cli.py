@@ -150,7 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _sentence(error: Exception) -> str:
-    """Return a sentence on an error, with a remedy."""
+    """Return a sentence for the user on what went wrong, with a remedy if wavefield knows one."""
     if isinstance(error, WavefieldError):
         return str(error)
     if isinstance(error, MemoryError):

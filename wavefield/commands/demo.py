@@ -22,7 +22,8 @@ def run_demo(
 ) -> None:
     """Simulate, calibrate, check, run, analyse and report into a folder, then print the errors.
 
-    `command` runs one command and returns its exit status. Raises WavefieldError if one fails.
+    `command` runs one command line, given as words without `wavefield`, and returns its exit status. `scene`
+    is the name or file of a scene. Raises WavefieldError if a command fails.
     """
     experiment, cube = directory / "experiment.yaml", directory / "cube.zarr"
     for words in (
@@ -46,7 +47,10 @@ def run_demo(
 
 
 def comparison(store: Path, directory: Path) -> str:
-    """Return a table of the errors of a simulated experiment, next to those of Aubourg et al. (2019)."""
+    """Return a table of the rms errors of a simulated experiment, next to those of Aubourg et al. (2019).
+
+    `store` is its cube, `directory` the folder that `simulate` wrote.
+    """
     import numpy as np
 
     from wavefield.pipeline import open_run
@@ -77,7 +81,10 @@ def comparison(store: Path, directory: Path) -> str:
 
 
 def inside(errors: "xr.Dataset", margin: float) -> "xr.Dataset":
-    """Return errors (time, y, x) with NaN within a margin, m, of the edge and of nodes never measured."""
+    """Return errors (time, y, x) with NaN near the edge of the nodes that were measured at some step.
+
+    `margin` is the width of that edge, m.
+    """
     import numpy as np
     from scipy.ndimage import binary_erosion
 

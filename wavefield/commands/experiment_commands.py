@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def _range(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    """Return the first and last frame of words such as 0:49."""
+    """Return the first and the last frame of words such as 0:49; raise BadParameter if they are none."""
     if value is None:
         return None
     match = re.fullmatch(r"(\d+):(\d+)", value)
@@ -45,7 +45,11 @@ def _range(context: click.Context, parameter: click.Parameter, value: str | None
 
 
 def _trial(source: Path, frames: tuple[int, int], output: Path | None) -> tuple[Experiment, Path]:
-    """Return the experiment limited to some of its frames, and the path of a cube for them."""
+    """Return the experiment limited to the frames from first to last, and the path of the cube to write.
+
+    That is `output`, or by default cube_FIRST_LAST.zarr. Raises ExperimentError if the record has fewer than
+    two of these frames.
+    """
     from wavefield.errors import ExperimentError
     from wavefield.series import Experiment
     from wavefield.series.experiment_parts import FramesSection
@@ -95,7 +99,7 @@ def run(
     frames: tuple[int, int] | None,
     as_json: bool,
 ) -> None:
-    """Measure an experiment, or all or some entries of a catalog.
+    """Measure an experiment, or all or some runs of a catalog.
 
     To resume a run that was interrupted, give the same command again, or name its cube. The exit status is 1
     if nothing could be measured, 3 if the verdict has remarks that matter.
@@ -148,7 +152,7 @@ def run(
 
 
 def _after(found: Status, measured_now: bool = False) -> str:
-    """Return the command that follows a run; a light sheet has no waves to analyse."""
+    """Return the name of the command that usually follows a run; a light sheet has no waves to analyse."""
     sheet = found.verdict and any(one.kind == "light sheet" for one in found.verdict.remarks)
     if measured_now:
         return "report" if sheet else "analyze"
@@ -156,7 +160,7 @@ def _after(found: Status, measured_now: bool = False) -> str:
 
 
 def _not_done(cube: Path, commands: Sequence[str] = ("analyze", "report")) -> str:
-    """Return the first command whose product is not next to the cube yet; `look` if all are there."""
+    """Return the first of `commands` whose result is not next to the cube; "look" if all are there."""
     product = {"analyze": ("waves", ".zarr"), "report": ("report", ".html")}
     return next((name for name in commands if not beside(cube, *product[name]).exists()), "look")
 
@@ -192,8 +196,8 @@ Examples:
 def verify(context: click.Context, source: campaign_commands.CommandSource) -> None:
     """Verify that stored results are complete and unchanged.
 
-    Reads everything. The exit status is 1 if something is damaged. Damaged chunks of a cube are marked as
-    not measured: the next `wavefield run` measures them again.
+    Reads all files of a store. The exit status is 1 if something is damaged. Damaged chunks of a cube are
+    marked as not measured: the next `wavefield run` measures them again.
     """
     from wavefield.store.verify import verify as verify_store
 

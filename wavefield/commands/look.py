@@ -18,7 +18,7 @@ LAST = 19  # lowest scheduling priority of a process (niceness)
 
 
 def serve(server: "PageServer") -> None:
-    """Serve a page until Ctrl-C."""
+    """Start a server of pages, print its address, and serve until the user presses Ctrl-C."""
     server.start()
     announce(server.url, int(server.port or 0))
     try:
@@ -28,7 +28,7 @@ def serve(server: "PageServer") -> None:
 
 
 def announce(url: str, port: int) -> None:
-    """Print the address of a page, and how to reach it from another machine."""
+    """Print the address of a page, and in an SSH session how to reach it from the user's own machine."""
     click.echo(f"Open {url} in a browser; Ctrl-C stops.")
     if os.environ.get("SSH_CONNECTION"):
         click.echo(
@@ -38,7 +38,7 @@ def announce(url: str, port: int) -> None:
 
 
 def lower_priority(steps_to_come: int) -> None:
-    """Give this process the lowest priority if a run may still be measuring steps of the cube."""
+    """Give this process the lowest priority if steps are still to come: a run may be measuring them here."""
     if steps_to_come and hasattr(os, "nice"):  # Windows has no niceness
         os.nice(LAST - os.nice(0))
 
@@ -59,8 +59,8 @@ def look(source: Path, run: str | None, port: int | None) -> None:
     """Serve an interactive page of a cube.
 
     It shows maps, series, spectra, camera images and waves. The page can be opened from this machine only.
-    While the cube is being written, the page shows new steps as they come. With a catalog, name the RUN
-    unless only one of its runs has a cube.
+    While a run writes the cube, the page shows new steps as they come. With a catalog, name the RUN unless
+    only one of its runs has a cube.
     """
     from wavefield.explorer.record import LookSession
     from wavefield.explorer.server import session_server

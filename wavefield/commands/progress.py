@@ -17,8 +17,9 @@ from wavefield.text import short_path, spell_time
 class Progress:
     """Prints how much of a stage is done and how long the rest will take.
 
-    Call it with the number of parts done and of all parts. On a terminal it redraws one line; in a log it
-    prints a line at the start, at each quarter, once a minute, and at the end.
+    `stage` is a phrase such as "Reading cube.zarr", `unit` names the parts, such as "steps". `stream` is by
+    default the standard error. Call it with the number of parts done and of all parts. On a terminal it
+    redraws one line; in a log it prints a line at the start, at each quarter, once a minute, and at the end.
     """
 
     def __init__(self, stage: str, unit: str = "", stream: TextIO | None = None) -> None:
@@ -37,7 +38,7 @@ class Progress:
         self.done, self.total = 0, 0
 
     def stage_of(self, stage: str, unit: str = "") -> Callable[[int, int], None]:
-        """Return a function to call in a later stage; its first call ends the present stage."""
+        """Return a function of parts done and all parts for a later stage; its first call begins that."""
 
         def report(done: int, total: int) -> None:
             if self.stage != stage:
@@ -53,7 +54,7 @@ class Progress:
         return self
 
     def __call__(self, done: int, total: int) -> None:
-        """Print how many parts of `total` are done; no line for a stage without parts."""
+        """Print how many parts are done, five times a second at most; print nothing if `total` is 0."""
         if not total:
             return
         now = time.monotonic()
@@ -78,7 +79,7 @@ class Progress:
         return f"{self.done} of {self.total}{' ' + self.unit if self.unit else ''} ({share} %)"
 
     def _left(self, now: float) -> str:
-        """Return the estimated time left, or "" while it is unknown.
+        """Return the estimated time left as words, or "" while it is unknown; `now` is a monotonic time, s.
 
         The first part does not count, because it includes compilation.
         """
@@ -113,7 +114,7 @@ class Progress:
 
 
 def command_line(*words: object) -> str:
-    """Return a command of wavefield as a line for the shell.
+    """Return a command of wavefield as a line for the shell, with quotes where they are needed.
 
     Examples
     --------
@@ -124,7 +125,10 @@ def command_line(*words: object) -> str:
 
 
 def print_next(*words: object, first: str = "") -> None:
-    """Print the command that usually follows, after what to do first, if anything; not with `--quiet`."""
+    """Print "Next:" and the command that usually follows; print nothing with `--quiet`.
+
+    `words` are the command and its arguments, `first` tells what the user should do before it.
+    """
     context = click.get_current_context(silent=True)
     if not (context and context.meta.get("wavefield.quiet")):
         shown = (short_path(word) if isinstance(word, Path) else word for word in words)

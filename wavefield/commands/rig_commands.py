@@ -25,7 +25,7 @@ Examples:
 @click.option("--anyway", is_flag=True, help="Write a rig that is refused, with the reason in the file.")
 @click.pass_context
 def calibrate(context: click.Context, experiment: Path, output: Path | None, anyway: bool) -> None:
-    """Calibrate the cameras, the rig, from target images.
+    """Calibrate the cameras (the rig) from target images.
 
     Reads the section `calibration` of EXPERIMENT, finds the target in its tilted and flat views, solves for
     all cameras together, and writes the rig and a report with pictures. If the experiment names a still-water
@@ -110,7 +110,7 @@ def level(
     """Level cameras, and find their relative pose, from images of the sea.
 
     For moving water with natural texture. Triangulates features that the cameras share at many instants; the
-    plane through them becomes z = 0, whatever axes the rig had. For still water seeded with beads use
+    plane through them becomes z = 0, whatever axes the rig had before. For still water seeded with beads use
     `wavefield refine`.
     """
     from wavefield.calibration.level_on_water import level_experiment
@@ -136,8 +136,8 @@ Examples:
 def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
     """Move z = 0 to a light sheet, found from its particles.
 
-    Correlates the cameras' images of one instant, dewarped to z = 0. Where they disagree, the sheet is not in
-    the target's plane or a camera has moved; both are corrected.
+    Correlates the cameras' images of one instant, projected onto z = 0. They disagree where the sheet is not
+    in the target's plane or a camera has moved; the new rig corrects both.
     """
     from wavefield.calibration.light_sheet import find_sheet
 
@@ -161,9 +161,9 @@ Example:
 def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
     """Correct and level a rig with still-water images.
 
-    EXPERIMENT is a record of still, seeded water, or names one (`rest:`). Shows whether a camera has moved
-    since the calibration, rotates it so that sight lines meet again, moves z = 0 to the plane of the water,
-    and writes the new rig.
+    EXPERIMENT is a record of still, seeded water, or names such a record (`rest:`). Shows whether a camera
+    has moved since the calibration, rotates it so that sight lines meet again, moves z = 0 to the plane of
+    the water, and writes the new rig.
     """
     from wavefield.pipeline.still_water import level_at_rest, plane_sentence
     from wavefield.series import Experiment
@@ -178,14 +178,17 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
 
 
 def _save(rig: "Rig", output: Path, experiment: Path, found: str) -> None:
-    """Print the sentence `found`, and write the rig."""
+    """Print the sentence `found`, write the rig to `output`, and tell how to use it."""
     click.echo(found)
     rig.save(output, source_of_experiment(experiment, output))
     click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
 
 
 def _check_output(output: Path, experiment: Path, rig: Path | None) -> None:
-    """Raise StoreError, before the work, if the output is not free or an earlier rig of this experiment."""
+    """Raise StoreError, before the work, if `output` cannot be written.
+
+    That is so if it is one of the input files, or exists and is no earlier rig of this experiment.
+    """
     from wavefield.atomic_write import Product, check_writable
     from wavefield.series import Experiment
 

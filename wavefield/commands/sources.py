@@ -19,14 +19,14 @@ NEW_RIG = click.option("-o", "--output", required=True, type=FILE, help="Rig to 
 
 
 def is_store(path: Path) -> bool:
-    """Return whether a path is a Zarr store itself, not a folder that contains one."""
+    """Return whether a path is itself a Zarr store, rather than a folder that contains one."""
     return path.is_dir() and (path.suffix == ".zarr" or (path / "zarr.json").is_file())
 
 
 def source_of_experiment(experiment: Path, output: Path) -> str:
-    """Return the identity that a file stores of its experiment: the name, and the path relative to the file.
+    """Return a hash of the name of an experiment and of its path relative to the file `output`.
 
-    A later command overwrites the file only for the same experiment.
+    `output` stores it, so that a later command replaces the file only for the same experiment.
     """
     from wavefield.atomic_write import identity_of
     from wavefield.series import Experiment
@@ -37,9 +37,9 @@ def source_of_experiment(experiment: Path, output: Path) -> str:
 
 
 def experiment_file(source: Path) -> Path:
-    """Return the experiment file of a folder or cube; a file, also a catalog, is returned as it is.
+    """Return the experiment file of a folder or of a cube; a file, also a catalog, is returned as it is.
 
-    Raises ExperimentError if there is none, or several.
+    Raises ExperimentError if a folder holds no experiment file, or several.
     """
     if source.is_file():
         return source
@@ -69,15 +69,15 @@ STORE = click.argument("store", metavar=CUBE, type=PATH, callback=lambda _, __, 
 
 
 def frames_option(default: int, words: str, least: int = 1) -> Callable[[Command], Command]:
-    """Return the option `--frames`, the number of frames to use."""
+    """Return the option `--frames`, a number of frames of at least `least`; `words` are its help text."""
     count = click.IntRange(min=least)
     return click.option("--frames", default=default, show_default=True, type=count, help=words)
 
 
 def find_cube(source: Path, run: str | None = None) -> Path:
-    """Return the cube of an experiment file, a folder or a run of a catalog; a cube is returned as it is.
+    """Return the cube of an experiment file, a folder, or a run of a catalog; a cube is returned as it is.
 
-    Raises StoreError if there is none.
+    Raises StoreError if there is none, or if `run` is given without a catalog.
     """
     if source.is_file():
         from wavefield.pipeline import catalog
@@ -107,7 +107,7 @@ def find_cube(source: Path, run: str | None = None) -> Path:
 
 
 def _experiments(folder: Path) -> list[Path]:
-    """Return the experiment files in a folder; only `experiment.yaml` if it is there."""
+    """Return the experiment files in a folder; if `experiment.yaml` is there, only that file."""
     usual = folder / "experiment.yaml"
     if usual.is_file():
         return [usual]
@@ -116,7 +116,7 @@ def _experiments(folder: Path) -> list[Path]:
 
 
 def _names_cameras(path: Path) -> bool:
-    """Return whether a YAML file is an experiment file, or names one."""
+    """Return whether a YAML file is an experiment file, or a file that names an experiment file."""
     from wavefield.config_files import read_yaml
 
     try:

@@ -54,7 +54,7 @@ def analyze(
 
 
 def _analyze(store: Path, output: Path | None, segment: int | None, workflow: Path | None) -> int:
-    """Analyse one cube, here or on the workers of a workflow; return the exit status."""
+    """Analyse the cube `store`, here or on the workers of a workflow; return the exit status."""
     from wavefield.pipeline import analyze_on_workers, open_run
     from wavefield.pipeline.analysis import analyze as analyze_cube
     from wavefield.store.ledger import unfinished_note
@@ -88,8 +88,8 @@ Examples:
 def report(context: click.Context, source: campaign_commands.CommandSource, output: Path | None) -> None:
     """Write the report of a cube: one HTML file that opens offline.
 
-    For a catalog, it writes the report of every run, and next to the catalog (or as -o) a page that compares
-    the runs.
+    For a catalog, it writes the report of every run, and a page that compares the runs: next to the catalog,
+    or as -o.
     """
     from wavefield.reports.compose import report as write
 
@@ -123,11 +123,11 @@ def report(context: click.Context, source: campaign_commands.CommandSource, outp
 @click.option("--rest", type=_FOLDER, help="Cube of still water, from the same cameras.")
 @click.option("-o", "--output", type=FILE, help="HTML file to write.")
 def paper(store: Path, rest: Path | None, output: Path | None) -> None:
-    """Write the figures and numbers of Aubourg et al. (2019).
+    """Draw the figures of Aubourg et al. (2019) from this cube, and compare its numbers with theirs.
 
-    One HTML file with a snapshot, distributions, spectra, nonlinear term and coherence, probes, still water,
-    differences between pairs of cameras, and a table with the published numbers. Needs the waves that
-    `wavefield analyze` writes.
+    Writes one HTML file: a snapshot, distributions, spectra, nonlinear term and coherence, probes, still
+    water, differences between pairs of cameras, and a table with the published numbers. Run `wavefield
+    analyze` first.
     """
     from wavefield.reports.paper import paper as write
 
@@ -144,7 +144,7 @@ def paper(store: Path, rest: Path | None, output: Path | None) -> None:
 def smooth(store: Path, output: Path | None) -> None:
     """Smooth z, u, v, w over time with a model of free waves.
 
-    Writes a Zarr store of the same variables with their standard uncertainties; xarray reads it.
+    Writes a Zarr store, which xarray reads, of the smoothed variables and their standard uncertainties.
     Compute spectra from the cube itself: the noise of smoothed fields is correlated.
     """
     from wavefield.pipeline.analysis import write_smoothed

@@ -24,7 +24,7 @@ _UNITS = {
 
 
 def limit(values: ArrayLike, percent: float = 99.5) -> float:
-    """Return the half-width of a balanced colour scale: a percentile of the magnitudes; 1 without values."""
+    """Return the half-width of a balanced colour scale: a percentile of |values|; 1 without values."""
     finite = np.abs(np.asarray(values, float))
     finite = finite[np.isfinite(finite)]
     return float(np.percentile(finite, percent)) or 1e-9 if finite.size else 1.0
@@ -35,7 +35,7 @@ class Display:
     """Name, unit and colours with which one variable is displayed."""
 
     name: str
-    factor: float  # from the stored unit to the displayed one
+    factor: float  # stored values times this are in the displayed unit
     unit: str  # the displayed unit; empty for pure numbers
 
     @property
@@ -45,12 +45,12 @@ class Display:
 
     @property
     def label(self) -> str:
-        """Name and unit, as on an axis."""
+        """Name and unit, as on an axis, such as "z (cm)"."""
         return self.name + self.in_unit
 
     @property
     def long_name(self) -> str:
-        """Description of the variable."""
+        """Description of the variable from the table of variables."""
         return TABLE[self.name].long_name
 
     @property
@@ -60,14 +60,14 @@ class Display:
 
     @property
     def colour_map(self) -> str:
-        """The matplotlib colour map, which colour-blind readers can read as well."""
+        """The name of the matplotlib colour map; colour-blind readers can read it as well."""
         return SIGNED if self.signed else POSITIVE
 
     def limits(self, values: NDArray[np.floating]) -> tuple[float, float]:
         """Return the lower and upper end of the colour scale for values in the displayed unit, to two digits.
 
-        The upper end is the 99.5 % quantile of the magnitudes. The scale of an unsigned variable begins at
-        zero, or at its smallest values if these exceed half of the upper end.
+        The upper end is the 99.5 % quantile of |values|. The lower end is its negative for a signed variable.
+        For others it is zero, or their smallest values if these exceed half of the upper end.
         """
         half = float(f"{limit(values):.2g}")
         if self.signed:
@@ -78,7 +78,10 @@ class Display:
 
 
 def display(name: str) -> Display:
-    """Return how a variable is displayed: z in cm, uncertainties and misfits in mm, velocities in cm/s."""
+    """Return how the variable `name` is displayed, such as z in cm and velocities in cm/s.
+
+    Standard uncertainties and misfits that are lengths are in mm.
+    """
     units = TABLE[name].units
     if units == "m" and name != "z":
         return Display(name, 1000.0, "mm")
@@ -100,9 +103,10 @@ KINDS: tuple[tuple[str, str, str], ...] = (
 
 
 def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the index into `KINDS` of the first kind whose bit is set, or `len(KINDS)` if none is.
+    """Return the index into `KINDS` of the kind of quality of each value, or `len(KINDS)` if none applies.
 
-    The result has the shape of `quality`.
+    The kinds are in order: if several bits of a value are set, the earlier kind counts. The result has the
+    shape of `quality`.
     """
     out = np.full(np.shape(quality), len(KINDS), np.uint8)
     for index in range(len(KINDS) - 1, -1, -1):
@@ -111,6 +115,6 @@ def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def drawn_kind(quality: NDArray[Any]) -> NDArray[np.float32]:
-    """Return `quality_kind` as floats for a picture, NaN where no bit is set."""
+    """Return `quality_kind` as floats for a picture, in the shape of `quality`; NaN where no kind applies."""
     kinds = quality_kind(quality)
     return np.where(kinds < len(KINDS), kinds, np.nan).astype(np.float32)

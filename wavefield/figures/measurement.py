@@ -34,7 +34,7 @@ _REASONS = {
 
 
 def _quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
-    """Return the fraction of values with each bit of `_REASONS`, averaged over some dimensions."""
+    """Return the fraction of values in which each bit of `_REASONS` is set, over the dimensions `dims`."""
     return xr.Dataset(
         {name: ((quality & np.uint16(int(flag))) != 0).mean(dims) for name, flag in _REASONS.items()}
     )
@@ -128,7 +128,7 @@ def uncertainty_maps(cube: xr.Dataset) -> Figure:
 
 
 def _median_in_time(field: xr.DataArray) -> xr.DataArray:
-    """Return the median over up to 200 steps, which is accurate to a few percent."""
+    """Return the median over time, (y, x), from at most 200 steps, which is accurate to a few percent."""
     stride = -(-field.sizes["time"] // 200)
     part = field.isel(time=slice(None, None, stride)).load()
     values = np.ma.filled(
@@ -140,7 +140,7 @@ def _median_in_time(field: xr.DataArray) -> xr.DataArray:
 def _draw_density(
     axes: Axes, values: np.ndarray, unit: str, name: str, style: dict[str, object], span: float
 ) -> float:
-    """Draw the probability density of values within `span` of their mean; return their standard deviation."""
+    """Draw the probability density of values up to `span` from their mean; return the std of all values."""
     finite = values[np.isfinite(values)]
     sigma, mean = (float(finite.std()), float(finite.mean())) if finite.size else (0.0, 0.0)
     bins = np.linspace(mean - span, mean + span, 121) if span else np.linspace(-1, 1, 121)
@@ -159,13 +159,16 @@ def _draw_gaussian(axes: Axes, sigma: float, mean: float, span: float) -> None:
 
 
 def _displacements(cube: xr.Dataset, factor: float) -> dict[str, np.ndarray]:
-    """Return the displacements of one step times a factor, (time, y, x), by the name of the velocity."""
+    """Return the displacements in one step times a factor, (time, y, x), by "u", "v" and "w".
+
+    `cube` has velocities in m/s and the attribute frame_rate, Hz.
+    """
     rate = float(cube.attrs["frame_rate"])
     return {name: factor / rate * cube[name].values.astype(float) for name in _DISPLACEMENTS}
 
 
 def _largest_std(fields: dict[str, np.ndarray]) -> float:
-    """Return the largest standard deviation of the fields; 1 if none has values."""
+    """Return the largest standard deviation of the fields; 1 if it is zero or no field has values."""
     return max((float(np.nanstd(f)) for f in fields.values() if np.isfinite(f).any()), default=0.0) or 1.0
 
 

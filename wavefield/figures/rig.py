@@ -62,7 +62,7 @@ def rig_views(rig: Rig, grid: Grid) -> Figure:
 
 
 def _rectangle(x: tuple[float, float], y: tuple[float, float]) -> NDArray[np.float64]:
-    """Return the corners of a rectangle as a closed line, (5, 2)."""
+    """Return the corners of a rectangle with limits x and y as a closed line, (5, 2)."""
     return np.array([(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1]), (x[0], y[0])], float)
 
 

@@ -62,7 +62,11 @@ def file_of(figure: Figure, kind: str = "png", **settings: Any) -> bytes:
 def panels(
     columns: int, rows: int = 1, *, width: float = 5.2, height: float = 4.1, projection: str | None = None
 ) -> tuple[Figure, NDArray[np.object_]]:
-    """Return a figure and its axes (rows, columns), without pyplot; sizes of one panel are in inches."""
+    """Return a figure with rows and columns of axes, and the axes (rows, columns); pyplot is not used.
+
+    `width` and `height` are the size of one panel in inches; `projection` is that of matplotlib, such as
+    "3d".
+    """
     with matplotlib.rc_context(_RC):
         figure = NotebookFigure(figsize=(width * columns, height * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": projection})
@@ -72,7 +76,10 @@ def panels(
 def map_panels(
     field: xr.DataArray, columns: int, rows: int = 1, *, width: float = 5.2
 ) -> tuple[Figure, NDArray[np.object_]]:
-    """Return a figure and its axes (rows, columns), shaped to show maps of a field (y, x)."""
+    """Return a figure and its axes (rows, columns) with the proportions for maps of a field (y, x).
+
+    `width` is the width of one panel in inches.
+    """
     wide, high = (float(np.ptp(field[d].values)) or 1.0 for d in ("x", "y"))
     height = float(np.clip(0.74 * width * high / wide + 0.85, 1.6, 1.5 * width))
     return panels(columns, rows, width=width, height=height)
@@ -96,7 +103,10 @@ def draw_cells(
     cmap: str,
     extend: str = "both",
 ) -> None:
-    """Draw values (ny, nx) as cells around their centres x (nx,), y (ny,), with a colour bar."""
+    """Draw values (ny, nx) as cells around their centres x (nx,), y (ny,), with a colour bar.
+
+    `label` and `extend` are those of the colour bar, as in matplotlib.
+    """
     drawn = axes.pcolormesh(
         edges(x), edges(y), np.ma.masked_invalid(values), norm=norm, cmap=cmap, rasterized=True
     )
@@ -104,7 +114,7 @@ def draw_cells(
 
 
 def colour_bar(axes: Axes, drawn: ScalarMappable, label: str, extend: str = "both") -> None:
-    """Put a colour bar next to a panel, as high as the panel."""
+    """Put a colour bar of the drawing `drawn` on the right of a panel, as high as the panel."""
     bar = axes.inset_axes((1.025, 0.0, 0.035, 1.0))
     axes.figure.colorbar(drawn, cax=bar, label=label, extend=extend)
 
@@ -122,7 +132,8 @@ def draw_map(
 ) -> None:
     """Draw a map of a field (y, x) times a factor, with a colour bar.
 
-    The colours are linear between the ends `scale`, by default balanced about zero; `norm` replaces both.
+    `scale` gives the values at both ends of the colours, by default balanced about zero. `norm`, a matplotlib
+    norm, replaces it.
     """
     values = factor * np.asarray(field.transpose("y", "x").values, float)
     if scale is None:
@@ -138,7 +149,7 @@ def draw_map(
 def draw_positive_map(
     axes: Axes, field: xr.DataArray, label: str, factor: float = 1.0, percent: float = 99
 ) -> None:
-    """Draw a map of a positive field (y, x) times a factor, on a colour scale from 0 to a percentile."""
+    """Draw a map of a positive field (y, x) times a factor; the colours end at 0 and at a percentile."""
     top = factor * limit(field, percent)
     draw_map(axes, field, label, factor=factor, cmap=POSITIVE, scale=(0, top))
 
@@ -178,7 +189,7 @@ def draw_curves(
     log: str = "",
     valid: np.ndarray | None = None,
 ) -> None:
-    """Draw labelled curves (n,) over x (n,), each in the next style.
+    """Draw labelled curves (n,) over x (n,), each in the next style of `styles`.
 
     `log` names the logarithmic axes, such as "xy". Curves are thin and pale where `valid` (n,) is False.
     """
@@ -192,7 +203,10 @@ def draw_curves(
 
 
 def plain_axes(axes: Axes, **legend: object) -> None:
-    """Give a line plot a light grid, and a legend outside the axes, where no line crosses it."""
+    """Give a line plot a light grid, and a legend outside the axes, where no line crosses it.
+
+    `legend` are settings of the legend, as in matplotlib.
+    """
     axes.grid(True, which="major", color="0.88", linewidth=0.7)
     axes.set_axisbelow(True)
     if labels := axes.get_legend_handles_labels()[1]:
@@ -204,26 +218,29 @@ def plain_axes(axes: Axes, **legend: object) -> None:
 def finish(
     axes: Axes, xlabel: str, ylabel: str, legend: Mapping[str, object] | None = None, **properties: object
 ) -> None:
-    """Set the labels and other properties of a line plot, then its grid and legend."""
+    """Set the labels of a line plot, then its grid and legend.
+
+    `legend` are settings of the legend, `properties` are those of `Axes.set`.
+    """
     axes.set(xlabel=xlabel, ylabel=ylabel, **properties)
     plain_axes(axes, **(legend or {}))
 
 
 def frequency_axis(axes: Axes) -> None:
-    """Label a logarithmic axis of one or two decades with 1, 2 and 5 times powers of ten."""
+    """Label a logarithmic x axis of one or two decades with 1, 2 and 5 times powers of ten."""
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def round_down(value: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that does not exceed a positive value."""
+    """Return the largest of 1, 2, 5 times a power of ten that is not above a positive value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))
 
 
 def densities(values: ArrayLike, bins: np.ndarray) -> np.ndarray:
-    """Return the probability density (n,) of the finite values in bins with edges (n + 1,)."""
+    """Return the probability density (n,) of finite values, of any shape, in bins with edges (n + 1,)."""
     finite = np.asarray(values, float).ravel()
     finite = finite[np.isfinite(finite)]
     counts, _ = np.histogram(finite, bins)

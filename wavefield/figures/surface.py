@@ -62,13 +62,13 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
 
 
 def _relief(z: np.ndarray) -> np.ndarray:
-    """Return brightness factors from 0.72 to 1, as if light came from one side."""
+    """Return brightness factors from 0.72 to 1, (y, x), as if light came from one side of the surface z."""
     slope = np.nan_to_num(np.gradient(z, axis=1) - np.gradient(z, axis=0))
     return np.asarray(0.86 + 0.14 * np.clip(slope / limit(slope, 95), -1, 1))
 
 
 def _draw_vectors(axes: Axes, snapshot: xr.Dataset) -> None:
-    """Draw the horizontal velocity as arrows, with a key."""
+    """Draw the horizontal velocity of a step as arrows at some nodes, with a key."""
     stride = max(1, round(max(snapshot.sizes["x"], snapshot.sizes["y"]) / MARKS_ACROSS))
     thin = slice(stride // 2, None, stride)
     part = snapshot[["u", "v"]].isel(x=thin, y=thin).transpose("y", "x")

@@ -36,7 +36,7 @@ _LOWEST_COLOUR = "#440154"  # lowest colour of viridis, for values below the col
 
 
 def _units(name: str) -> str:
-    """Return the units of E(k, omega), those of the variable squared per wavenumber and frequency."""
+    """Return the units of the spectrum E(k, omega) of the quantity `name`, as text of an axis."""
     return f"{'m²' if name == 'z' else 'm² s⁻²'} (rad/m)⁻¹ (rad/s)⁻¹"
 
 
@@ -128,7 +128,7 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
 
 
 def _radius(dispersion: xr.Dataset | None, omega: float) -> float | None:
-    """Return the wavenumber of the dispersion relation at omega, cycles per metre; None if it is unknown."""
+    """Return the wavenumber of the waves of `omega`, rad/s, in cycles per metre; None if it is unknown."""
     if dispersion is None or "omega_theory" not in dispersion:
         return None
     theory = dispersion.omega_theory.values
@@ -294,7 +294,7 @@ def probe_series(compared: xr.Dataset) -> Figure:
 def _draw_above(
     ax: Axes, x: np.ndarray, y: np.ndarray, values: np.ndarray, level: np.ndarray | float, label: str
 ) -> None:
-    """Draw a coherence (y, x) where it exceeds a level, grey elsewhere."""
+    """Draw a coherence (y, x) in colour where it exceeds a level, grey elsewhere."""
     ax.set_facecolor("0.92")
     above = np.where(values > level, values, np.nan)
     draw_cells(ax, x, y, above, label, norm=Normalize(0, 1), cmap=POSITIVE, extend="neither")

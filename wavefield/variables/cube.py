@@ -8,7 +8,7 @@ from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, register
 
 
 class Quality(IntFlag):
-    """Bits of the cube's ``quality``, which tells how the value at a node was obtained."""
+    """Bits of ``quality`` in a cube. They tell how the value at a node was obtained."""
 
     MEASURED = 1  # measured by matching images
     FILLED = 2  # interpolated from neighbouring nodes
@@ -29,12 +29,15 @@ class Quality(IntFlag):
 
     @classmethod
     def without(cls, number: int) -> "Quality":
-        """Return the bits of a node that was measured without one camera; its number counts from 0."""
+        """Return the bits of a node that was measured without one camera.
+
+        `number` is the index of that camera, from 0, in the attribute ``cameras`` of the cube.
+        """
         return cls.FEWER_CAMERAS | cls(cls.WITHOUT_1.value << min(number, 5))
 
 
 class FrameStatus(IntEnum):
-    """Values of ``frame_status``, which records for every step whether it was measured."""
+    """Values of ``frame_status`` in a cube. They tell for every step whether it was measured."""
 
     NOT_STARTED = 0
     DONE = 1
@@ -44,7 +47,7 @@ class FrameStatus(IntEnum):
 
 
 class FrameFault(IntEnum):
-    """What is wrong with a frame."""
+    """What is wrong with a frame of a camera."""
 
     NONE = 0
     MISSING = 1
@@ -71,7 +74,10 @@ INSTANTANEOUS = 1  # value of `path_frames`: instantaneous velocities, as of a m
 
 
 def frames_of_path(code: int) -> int:
-    """Return the number of frames that a value of `path_frames` stands for."""
+    """Return the number of frames that a value of ``path_frames`` stands for.
+
+    The value is the number itself, except `EXACT_SIX`, another set of weights for six frames.
+    """
     return 6 if code == EXACT_SIX else code
 
 

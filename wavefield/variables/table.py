@@ -21,7 +21,7 @@ _KNOWN = {
 
 
 def _powers(unit: str) -> dict[str, int]:
-    """Return the power of each unit in a string such as "m s-1" or "cm/s"."""
+    """Return the power of each unit in a string such as "m s-1" or "cm/s"; raise ValueError for others."""
     out: dict[str, int] = {}
     for token in unit.replace("/", " /").split():
         sign = -1 if token.startswith("/") else 1
@@ -35,7 +35,10 @@ def _powers(unit: str) -> dict[str, int]:
 
 
 def product(*factors: tuple[str, int]) -> str:
-    """Return the units of a product of (unit, power) factors, radians last, as in m3 s-1 rad-2."""
+    """Return the units of the product of units to some powers, given as pairs (unit, power), radians last.
+
+    The result has the form "m3 s-1 rad-2".
+    """
     powers: dict[str, int] = {}
     for unit, power in factors:
         for name, exponent in _powers(unit).items():
@@ -46,7 +49,10 @@ def product(*factors: tuple[str, int]) -> str:
 
 
 def factor(given: str, requested: str) -> float | None:
-    """Return the factor from a given to a requested unit (cm/s to m s-1: 0.01); None if there is none."""
+    """Return the factor from a given to a requested unit; None if one cannot be converted to the other.
+
+    From cm/s to m s-1 it is 0.01.
+    """
     scale = 1.0
     left: dict[str, int] = {}
     for unit, sign in ((given, 1), (requested, -1)):
@@ -70,10 +76,10 @@ _PIECE = 256  # steps per Dask chunk of an array on disk whose type or unit is c
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of a dataset: its dimensions, units, type and attributes."""
+    """One variable of a dataset: its name, dimensions, units, type and attributes."""
 
     name: str  # Name in the dataset
-    dims: tuple[str, ...]  # Dimensions, in order; the first ones if the variable occurs with several
+    dims: tuple[str, ...]  # Dimensions, in order; the usual ones if the variable occurs with several sets
     units: str  # CF units; "1" for pure numbers, "" if they depend on another variable
     long_name: str  # What it is, for axis labels
     dtype: str = "float32"  # Type in the store
@@ -81,7 +87,7 @@ class Variable:
     meaning: str = ""  # A sentence for the documentation
     extra: Mapping[str, Any] = field(default_factory=dict)  # Further attributes
     group: str = ""  # Group of the wave store, or "frames"; empty if the name means the same everywhere
-    family: str = ""  # Name with a star, shared by variables that the documentation describes in one line
+    family: str = ""  # Pattern with a star for names that the documentation describes in one line
 
     @property
     def key(self) -> str:
@@ -101,7 +107,10 @@ class Variable:
         return out | dict(self.extra)
 
     def of(self, what: str, units: str) -> dict[str, Any]:
-        """Return the attributes for one quantity, which is named in `long_name`, with its units."""
+        """Return the attributes of the variable for the quantity `what`, which has these units.
+
+        `long_name` becomes "... of `what`".
+        """
         return self.attrs | {"long_name": f"{self.long_name} of {what}", "units": units}
 
 
@@ -109,24 +118,27 @@ TABLE: dict[str, Variable] = {}
 
 
 def register(*rows: Variable) -> None:
-    """Add rows to the table; raise ValueError if one contradicts a row that is there."""
+    """Add rows to the table of variables; raise ValueError if the table has another row of that name."""
     for row in rows:
         if TABLE.setdefault(row.key, row) != row:
             raise ValueError(f"variable {row.key!r} is already in the table")
 
 
 def find(name: str, group: str = "") -> Variable | None:
-    """Return the row of a variable in a group, else the row for all groups; None without either."""
+    """Return the table's row for a variable of a group, or the row of that name for all groups, or None."""
     return TABLE.get(f"{group}/{name}", TABLE.get(name))
 
 
 def rows_of(group: str) -> Iterator[Variable]:
-    """Yield the rows of a group, in order."""
+    """Yield the rows of a group in the order of the table."""
     return (row for row in TABLE.values() if row.group == group)
 
 
 def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
-    """Return a copy of a dataset whose variables have the attributes of the table."""
+    """Return a copy of a dataset in which each variable has the attributes of its row in the table.
+
+    `group` is the group of the wave store that the dataset belongs to.
+    """
     out = dataset.copy()
     for name in [*out.coords, *out.data_vars]:
         row = find(str(name), group)
@@ -136,7 +148,7 @@ def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
 
 
 def _one(array: "xr.DataArray", row: Variable) -> Any:
-    """Return a variable with the dimensions and units of its row; raise CubeError if it does not fit."""
+    """Return an array with the dimensions and units of its row; raise CubeError if it does not fit it."""
     if set(array.dims) != set(row.dims):
         raise CubeError(f"{row.name!r} has dimensions {array.dims}, expected {row.dims}")
     kind = np.dtype(row.dtype).kind
@@ -165,8 +177,8 @@ def _lazy(array: "xr.DataArray") -> Any:
 def validate(dataset: "xr.Dataset", *names: str) -> "xr.Dataset":
     """Return the named variables of a dataset with the dimensions, units and types of the table.
 
-    Every public function checks its input with it. Units are converted (cm to m); data on disk stay there
-    until they are read. Raises CubeError if a variable is absent or its dimensions, type or units do not fit.
+    Public functions check their input with it. Units are converted (cm to m). Data on disk stay there until
+    they are read. Raises CubeError if a variable is absent or its dimensions, type or units do not fit.
     """
     out = {}
     for name in names:

@@ -23,7 +23,7 @@ ELEVATION_UNITS = "m2 s rad-1"
 
 
 def density_units(unit: str, *over: str) -> str:
-    """Return the units of the power spectrum, over the named axes, of a quantity in `unit`.
+    """Return the units of the power spectrum of a quantity in `unit` over some axes, "k" or "omega".
 
     Examples
     --------
@@ -35,7 +35,10 @@ def density_units(unit: str, *over: str) -> str:
 
 
 def rows(group: str, dims: tuple[str, ...], *rows: tuple[Any, ...], **more: Any) -> None:
-    """Register variables of one group and shape, each (name, units, long_name[, meaning])."""
+    """Add variables of one group and shape to the table, each given as (name, units, long_name[, meaning]).
+
+    `more` are further fields of `Variable`; the type is float64 by default.
+    """
     for name, units, text, *meaning in rows:
         note = meaning[0] if meaning else ""
         register(Variable(name, dims, units, text, meaning=note, group=group, **{"dtype": "float64"} | more))
@@ -169,7 +172,7 @@ _SECTION = re.compile(r"/(\w*) \(([\w, ]*)\) ?(\w*)")
 
 
 def _rows(text: str) -> list[Variable]:
-    """Read variables from the text of `wave_variables.txt`, whose first lines describe its format."""
+    """Return the variables listed in the text of `wave_variables.txt`, which begins with its format."""
     rows: list[Variable] = []
     group, dims, dtype = "", (), ""
     for line in text.replace("\n|", " |").splitlines():
