@@ -82,7 +82,9 @@ def test_a_rig_in_the_frame_of_a_camera_is_to_be_levelled(platform):
     with pytest.raises(RigError, match="wavefield rig level"):
         refuse_own_frame(Rig(own), "stereo.yaml")
     lenses = {n: replace(c, rotation=np.eye(3), translation=np.zeros(3)) for n, c in cameras.items()}
-    with pytest.raises(RigError, match=r"lenses.yaml contains lenses and no positions.*--distance METRES"):
+    with pytest.raises(
+        RigError, match=r"lenses.yaml contains lenses but no camera positions.*--distance METRES"
+    ):
         refuse_own_frame(Rig(lenses), "lenses.yaml")
 
 

@@ -196,7 +196,7 @@ def test_a_campaign_is_checked_measured_verified_analysed_and_compared(catalog, 
     assert main(["run", lab, *here]) == 0
     assert "Measuring other-tank (2 of 2)" in printed().err
     assert main(["-q", "verify", lab]) == 0
-    assert "5 of 5 steps are done, and all of them are as written" in printed().out
+    assert "5 of 5 steps are done, and none of them is damaged" in printed().out
     assert main(["-q", "analyze", lab, "--segment", "8"]) == 1  # 7 and 5 steps
     assert printed().err.count("segment") >= 2
     assert main(["-q", "report", lab]) == 0

@@ -1,4 +1,4 @@
-"""Cubes for other programs: what they hold is what the cube holds."""
+"""Exports for other programs contain the values of the cube."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_uvmat_gets_a_file_per_step_with_roles(reference, cube, tmp_path):
 
 
 def test_netcdf_holds_the_same_and_passes_as_cf(reference, cube, tmp_path):
-    """Every variable has units, known axes and flags of its own type, and refers to what is there."""
+    """Variables have units, known axes and flags of their own type; no reference leads out of the file."""
     import cf_xarray  # noqa: F401
 
     path = tmp_path / "new" / "cube.nc"
@@ -79,7 +79,7 @@ def test_netcdf_holds_the_same_and_passes_as_cf(reference, cube, tmp_path):
 
 
 def test_steps_that_are_not_there_are_refused(reference, tmp_path, capsys):
-    with pytest.raises(StoreError, match="no such steps: it holds 16"):
+    with pytest.raises(StoreError, match="no steps in the given range: it has 16 steps"):
         wf.export(reference, tmp_path / "cube.mat", slice(90, 99))
     assert main(["-q", "export", str(reference), str(tmp_path / "a.mat"), "--steps", "every"]) == 2
     assert "FIRST:STOP" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Faults that destroyed data or were believed once, each with the smallest case that shows it."""
+"""Faults that once destroyed data or were not noticed, each in the smallest case that shows it."""
 
 import json
 import os
@@ -26,7 +26,7 @@ CATALOG = "catalog.yaml"
 
 @pytest.fixture
 def lab(measured, tmp_path, monkeypatch):
-    """A copy of the measured experiment, in which the command line is used."""
+    """A copy of the measured experiment, and the working folder of the command line."""
     shutil.copytree(measured, tmp_path / "lab")
     monkeypatch.chdir(tmp_path / "lab")
     return tmp_path / "lab"
@@ -37,7 +37,7 @@ def command(*words):
 
 
 def refused(capsys, *words):
-    """The sentence with which a command is refused."""
+    """The error message of a command that is refused."""
     assert command(*words) == 1
     printed = capsys.readouterr().err
     assert "did not foresee" not in printed
@@ -229,7 +229,7 @@ def test_a_verdict_without_its_checksum_is_not_believed(lab):
     data = json.loads((lab / "verdict.json").read_text())
     del data["checksum"]
     (lab / "verdict.json").write_text(json.dumps(data))
-    with pytest.raises(StoreError, match="is not a verdict as wavefield wrote it"):
+    with pytest.raises(StoreError, match="is not a verdict written by wavefield"):
         wf.status("cube.zarr")
 
 

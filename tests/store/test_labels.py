@@ -1,4 +1,4 @@
-"""Name and water are labels: changing them re-labels a cube, and no step is measured again."""
+"""Name and water are labels: changing them updates the cube, and no step is measured again."""
 
 import shutil
 
@@ -14,7 +14,7 @@ from wavefield.pipeline import chunk, open_cube, run
 
 @pytest.fixture
 def cube(own_tank, reference, monkeypatch):
-    """The cube of the small tank beside its file, and no means to measure."""
+    """The cube of the small tank next to its experiment file; measuring a step would fail the test."""
     for path in reference.parent.glob("cube*"):
         copy = shutil.copytree if path.is_dir() else shutil.copy
         copy(path, own_tank.parent / path.name)

@@ -50,7 +50,7 @@ def test_stock_readers_see_the_same_values(reference):
 def test_the_engine_refuses_what_is_no_cube(tmp_path):
     with pytest.raises(StoreError, match="no such store"):
         xr.open_dataset(tmp_path / "absent.zarr", engine="wavefield")
-    with pytest.raises(StoreError, match="a folder that holds no cube"):
+    with pytest.raises(StoreError, match="a folder without a cube"):
         xr.open_dataset(tmp_path, engine="wavefield")
     with pytest.raises(StoreError, match=r"no such wave store; write one with `wavefield analyze CUBE`"):
         wf.open_waves(tmp_path / "waves.zarr")

@@ -1,4 +1,4 @@
-"""What a cube lost is reported, and the next run puts it back bit for bit."""
+"""Lost parts of a cube are reported, and the next run restores them bit for bit."""
 
 import shutil
 
@@ -14,7 +14,7 @@ from wavefield.store.verify import verify
 
 @pytest.fixture
 def cube(measured, tmp_path):
-    """A copy of the measured experiment of three blocks; gives its cube."""
+    """The cube of a copy of the measured experiment, in three chunks."""
     shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
     return tmp_path / "cube.zarr"
 
@@ -67,7 +67,7 @@ def test_a_damaged_file_is_an_error_that_names_it(cube):
 def test_a_cube_whose_disk_is_gone_is_an_error_and_not_missing_values(cube, tmp_path):
     opened = open_cube(cube)
     cube.rename(tmp_path / "moved.zarr")
-    with pytest.raises(StoreError, match="no longer there"):
+    with pytest.raises(StoreError, match="no longer exists"):
         opened.to_netcdf(tmp_path / "x.nc", engine="h5netcdf")
 
 

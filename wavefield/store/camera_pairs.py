@@ -1,4 +1,4 @@
-"""Error statistics of every pair of cameras, stored as a group of the cube."""
+"""Errors of each pair of cameras (`pair_statistics` of `pipeline.assess`), stored in a group of the cube."""
 
 import shutil
 from pathlib import Path
@@ -12,7 +12,11 @@ from wavefield.store.layout import add_array
 from wavefield.variables import Variable, annotate, register, rows_of
 
 GROUP, KIND = "pair_statistics", "pair statistics"
-_TEXTS = ("quantity", "cameras", "units")  # text coordinates, kept as attributes: Zarr 3 has no fixed strings
+_TEXTS = (
+    "quantity",
+    "cameras",
+    "units",
+)  # coordinates, kept as attributes: Zarr 3 has no fixed-length strings
 
 register(
     Variable(

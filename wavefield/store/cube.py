@@ -1,4 +1,8 @@
-"""A cube as an xarray Dataset: opened lazily, with ``cube.wavefield``, and errors that name the file."""
+"""Open a cube as a lazy xarray Dataset with the accessor ``cube.wavefield``; read errors name the file.
+
+A step is the interval between two consecutive frames. The recipe is everything that determines the values of
+a cube (`wavefield.store.recipe`).
+"""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -60,16 +64,16 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
     from wavefield.waves import accessor as waves_accessor  # noqa: F401  # registers `cube.waves`
 
     stored = open_stored(path, chunks)
-    stored = stored.reset_coords("path_frames")  # a coordinate in cubes of version 1.0
+    stored = stored.reset_coords("path_frames")  # a coordinate in cubes of earlier versions
     stored = stored.set_coords([f"gain_{name}" for name in "zuvw" if f"gain_{name}" in stored])
     order = dict.fromkeys((*CUBE_FIELDS, *stored.data_vars))
     cube = stored[list(order)].assign_coords(stored.coords)
     cube = cube.assign_coords(camera=("camera", np.array(stored.attrs["cameras"]), TABLE["camera"].attrs))
     cube.encoding.pop("coordinates", None)
     for name in PACKING:
-        if cube[name].dtype == "float64":  # as 16-bit values are unpacked
+        if cube[name].dtype == "float64":  # xarray unpacks 16-bit values to float64
             cube[name] = cube[name].astype("float32")
-    # a variable that is taken out of the cube keeps them, and plots do not name them in their titles
+    # attributes, because a single variable keeps them, and plots do not put them into titles
     stated = {"path_frames": int(cube["path_frames"]), **stated_water(cube.attrs)}
     for name in CUBE_FIELDS:
         cube[name].attrs |= stated
@@ -86,7 +90,7 @@ def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
         found: xr.Dataset = xr.open_zarr(CubeStore(path, read_only=True), chunks=None)
     except StoreError:
         raise
-    except Exception as error:  # whatever a library makes of damaged bytes
+    except Exception as error:  # libraries raise errors of many kinds on damaged bytes
         raise StoreError(f"{path} is damaged ({one_line(error)[:200]}); copy the cube again") from None
     lazy = {
         name: named_variable(path / str(name), one)
@@ -95,7 +99,7 @@ def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
     }
     out = found.assign({name: lazy[name] for name in found.data_vars})
     out = out.assign_coords({name: lazy[name] for name in lazy if name in found.coords})
-    for name in (CHECKSUM, FINISHED):  # of the store, not of the measurement
+    for name in (CHECKSUM, FINISHED):  # attributes of the store, not of the measurement
         out.attrs.pop(name, None)
     out.encoding["source"] = str(path)
     if chunks is None:
@@ -135,7 +139,7 @@ class CubeAccessor:
     Parameters
     ----------
     cube : Dataset
-        Of `open_cube`, `reconstruct` or ``xr.open_dataset("cube.zarr", engine="wavefield")``.
+        From `open_cube`, `reconstruct` or ``xr.open_dataset("cube.zarr", engine="wavefield")``.
 
     Examples
     --------
@@ -161,6 +165,7 @@ class CubeAccessor:
         Returns
         -------
         DataArray of bool, (time, y, x)
+            True where the flag is set.
             True at nodes that have the flag.
 
         Raises

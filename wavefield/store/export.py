@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 NETCDF = (".nc", ".nc4", ".cdf", ".h5")
 ENDINGS = {**dict.fromkeys(NETCDF, "netcdf"), ".mat": "matlab", ".uvmat": "uvmat"}
 KNOWN = ".nc (NetCDF), .mat (MATLAB) or .uvmat (a folder for UVMAT)"
-_AT_ONCE = 16  # steps in memory
-_MATLAB_BYTES = 2**31  # of one variable: sizes in a MAT-file of version 7 have 32 bits
-_UVMAT_ROLES = {  # name here: name and role there
+_AT_ONCE = 16  # steps in memory at a time
+_MATLAB_BYTES = 2**31  # limit per variable: a MAT-file of version 7 stores sizes in 32 bits
+_UVMAT_ROLES = {  # variable of the cube: name and role in UVMAT
     "u": ("U", "vector_x"),
     "v": ("V", "vector_y"),
     "w": ("W", "vector_z"),
@@ -120,7 +120,7 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     if steps is not None:
         cube = cube.isel(time=steps)
     if not cube.sizes["time"]:
-        raise StoreError(f"{store} has no such steps: it holds {count}")
+        raise StoreError(f"{store} has no steps in the given range: it has {count} steps")
     _WRITERS[kind](cube, path)
 
 
@@ -161,7 +161,7 @@ def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
     largest = max(numbers.values(), key=lambda one: one.nbytes)
     if largest.nbytes >= _MATLAB_BYTES:
         raise StoreError(
-            f"{path}: a variable of {largest.nbytes / 1e9:.1f} GB does not fit into a MAT-file, which takes "
+            f"{path}: a variable of {largest.nbytes / 1e9:.1f} GB does not fit into a MAT-file, which holds "
             "2 GB; write a file that ends in .nc, which MATLAB reads with `ncread`, or fewer --steps"
         )
     texts = {
@@ -177,8 +177,9 @@ def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
 
 
 def _write_uvmat(cube: "xr.Dataset", path: Path) -> None:
-    """Write a folder with a NetCDF 3 file per step, as UVMAT's `struct2nc` does: metres, y upwards.
-    ``FF`` (UVMAT's flag of false vectors) is 0 where the node was measured, else the bits of ``quality``.
+    """Write a folder with one NetCDF 3 file per step in metres, y upwards, like UVMAT's `struct2nc`.
+
+    ``FF``, UVMAT's flag of false vectors, is 0 where the node was measured, else the bits of ``quality``.
     """
     names = {name: theirs for name, (theirs, _) in _UVMAT_ROLES.items() if name in cube}
     out = cube[[*names, "quality"]].reset_coords(drop=True)

@@ -1,6 +1,8 @@
-"""The cube's store: a Zarr v3 group, made complete but empty, then filled chunk by chunk.
+"""Create the store of a cube: a Zarr v3 group with all arrays, empty at first and filled chunk by chunk.
 
-Every stored chunk ends with a checksum of Zarr's own codec, so that any reader of Zarr finds damage.
+A step is the interval between two consecutive frames; a chunk is a range of steps that one task measures. The
+ledger is the pair of arrays ``frame_status`` (status of each step) and ``frame_fault`` (fault of each frame).
+Every stored chunk ends with a checksum by a codec of Zarr, so that any Zarr reader notices damage.
 """
 
 import warnings
@@ -22,10 +24,10 @@ from wavefield.text import one_line
 from wavefield.variables import CUBE_FIELDS, TABLE, Variable, find
 from wavefield.water import WATER
 
-# arrays of which every chunk of steps has a file of its own; the ledger is written last
+# arrays with one file per chunk of steps; the ledger is written last
 CHUNKED: tuple[str, ...] = (*CUBE_FIELDS, "frame_fault", "frame_status")
 
-# value = scale * stored; -32768 is missing, and so is what does not fit into 16 bits
+# value = scale * stored; -32768 marks missing values and values that do not fit into 16 bits
 PACKING = {
     "z": 1e-5,
     "z_t": 1e-4,
@@ -40,13 +42,12 @@ PACKING = {
     "w_std": 1e-5,
 }
 MISSING = -32768
-# a quarter of zstd's time, writing and reading, and files 4 % larger
+# compared with zstd: a quarter of the time for writing and reading, and 4 % larger files
 COMPRESSION: dict[str, Any] = {"cname": "lz4", "clevel": 1}
-INNER_CHUNK_STEPS = 8  # steps that a reader must decode to see one
-FILES_OF_ALL_CHUNKS = {"array.write_empty_chunks": True}  # so that a file that is not there was lost
+INNER_CHUNK_STEPS = 8  # a reader decodes at most so many steps to get one
+FILES_OF_ALL_CHUNKS = {"array.write_empty_chunks": True}  # so that a missing file has been lost
 
-
-# attributes that describe the experiment: they may change after the measurement
+# attributes that describe the experiment and may change after the measurement
 DESCRIPTION = ("experiment_file", "image_folder", "description", *WATER)
 
 CubeGroup: TypeAlias = Any  # an open cube: `zarr.Group` types arrays and groups alike
@@ -154,7 +155,7 @@ def _lay_out(
         "frame_status": {"shape": (n,), "chunks": (steps,)},
         "frame_fault": {"shape": (cameras, n + 1), "chunks": (cameras, steps)},
     }
-    for name, sizes in ledger.items():  # not compressed: it is also read byte by byte (`is_started`)
+    for name, sizes in ledger.items():  # not compressed, because `is_started` reads the bytes of the file
         add_array(group, TABLE[name], **sizes, fill_value=0, compressors=Crc32cCodec())
     return group
 
@@ -192,7 +193,7 @@ def gather_metadata(path: Path) -> None:
         zarr.consolidate_metadata(path)
 
 
-_PLACES = {"frame_fault": "c/0/{}", "frame_status": "c/{}"}
+_CHUNK_FILES = {"frame_fault": "c/0/{}", "frame_status": "c/{}"}  # fields have c/{}/0/0
 
 
 @contextmanager
@@ -211,4 +212,4 @@ def named_damage(array: Path) -> Iterator[None]:
 
 def chunk_path(path: Path, name: str, number: int) -> Path:
     """Return the file of one chunk of an array in the store at `path`; chunks are numbered from 0."""
-    return path / name / _PLACES.get(name, "c/{}/0/0").format(number)
+    return path / name / _CHUNK_FILES.get(name, "c/{}/0/0").format(number)

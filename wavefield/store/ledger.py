@@ -1,4 +1,9 @@
-"""Progress of a run: steps done and failed, and which frames were bad and why."""
+"""Read the ledger of a cube: steps done and failed, and bad frames with their faults.
+
+The ledger is the pair of arrays ``frame_status`` (status of each step) and ``frame_fault`` (fault of each
+frame and camera), which a run writes with each chunk. A step is the interval between two consecutive frames.
+The verdict is the list of remarks on the measurement (`wavefield.store.verdict`).
+"""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,7 +24,7 @@ _WORDS = {
     FrameFault.WRONG_SIZE: "of another size or type",
     FrameFault.BLANK: "blank",
     FrameFault.REPEATED: "the same image as the frame before",
-    FrameFault.RANGE: "the water went further than is searched",
+    FrameFault.RANGE: "the water moved beyond the search range",
 }
 
 
@@ -27,8 +32,8 @@ _WORDS = {
 class BadFrames:
     """Frames of one camera that share a fault."""
 
-    camera: str
-    fault: FrameFault  # What is wrong
+    camera: str  # Name of the camera
+    fault: FrameFault  # Kind of fault
     numbers: tuple[int, ...]  # Frame numbers
 
     def __str__(self) -> str:
@@ -115,14 +120,14 @@ class Status:
             + ("" if self.complete else "; run the same command again to go on"),
         ]
         if self.faulty:
-            lines.append(f"  {self.faulty} steps measured with bad frames around them")
+            lines.append(f"  {self.faulty} steps measured although some of their frames are bad")
         if self.failed:
             lines.append(f"  {self.failed} steps failed, from frame {spell_ranges(self.failed_steps)}")
         lines += [f"  {bad}" for bad in self.bad_frames]
         if any(bad.fault is FrameFault.RANGE for bad in self.bad_frames):
             lines.append(
-                "  state wider ranges (settings: piv.search_x and search_y in px, z_range in m) and run into "
-                "another cube"
+                "  give wider search ranges (settings: piv.search_x and search_y in px, z_range in m) and "
+                "run into another cube"
             )
         if any(bad.fault is not FrameFault.RANGE for bad in self.bad_frames):
             lines.append("  copy bad frames again and run the same command: their steps are measured again")

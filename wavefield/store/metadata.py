@@ -1,4 +1,4 @@
-"""The metadata of a cube: its ``zarr.json``, with a checksum that reveals changes and damage."""
+"""Read and write the metadata of a cube: ``zarr.json``, with a checksum that shows changes and damage."""
 
 import json
 import zlib
@@ -10,8 +10,8 @@ from wavefield.atomic_write import atomic, writing
 from wavefield.errors import StoreError
 from wavefield.text import one_line
 
-CHECKSUM = "metadata_checksum"  # attribute: CRC-32 of everything else in zarr.json
-FINISHED = "finished"  # attribute: whether the run that writes the cube has ended
+CHECKSUM = "metadata_checksum"  # attribute: CRC-32 of the rest of zarr.json
+FINISHED = "finished"  # attribute: true once the run has ended
 
 
 def read_metadata(path: Path) -> dict[str, Any]:
@@ -29,7 +29,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
     try:
         data: dict[str, Any] = json.loads(file.read_bytes())
         attributes = data["attributes"]
-    except Exception as error:  # whatever damaged bytes hold
+    except Exception as error:  # damaged bytes raise errors of many kinds
         raise StoreError(f"{file} cannot be read ({one_line(error)[:200]}); copy the cube again") from None
     if not isinstance(attributes, dict) or "recipe" not in attributes:
         raise StoreError(f"{path} is not a cube of `wavefield run`; choose another name")

@@ -1,8 +1,8 @@
-"""The thinned preview of a cube: every fourth node in 16 bits, long in time, written as the run goes.
+"""A thinned copy of a cube for fast plots: every nth node in 16 bits, written during the run.
 
-The group ``preview`` in a cube's store holds one array ``fields`` (variable, y, x, time), one chunk per chunk
-of steps, so that no two chunks touch the same file. It can be removed at any time: `read_thinned` then thins
-the cube itself.
+The group ``preview`` in a cube's store has one array ``fields`` (variable, y, x, time) with one file per
+chunk of steps, so that two tasks never write the same file. It may be deleted at any time: `read_thinned`
+then reads the cube itself.
 """
 
 import math
@@ -26,8 +26,8 @@ from wavefield.text import one_line
 from wavefield.variables import CUBE_FIELDS
 
 _GROUP = "preview"
-_NODES = 2000  # of a preview: every fourth of 150 x 200, either way
-_VALUES = 32_000_000  # of one variable: 64 MB; longer records are thinned more
+_NODES = 2000  # nodes of a preview; of 150 x 200 nodes, every fourth along x and y
+_VALUES = 32_000_000  # values of one variable (64 MB); longer records are thinned more
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any
     thin = thinning(group)
     preview = _open(group, thin, "r+")
     if preview is not None:
-        _chunk(group, start).unlink(missing_ok=True)  # Zarr would read what is there, which may be damaged
+        _chunk(group, start).unlink(missing_ok=True)  # Zarr would first read this file, which may be damaged
         ordered = {name: np.asarray(fields[name]) for name in thin.names}
         thinned = _thinned(ordered, thin.every, thin.scales)
         preview[..., start : start + thinned.shape[-1]] = thinned

@@ -1,4 +1,4 @@
-"""Open a cube's store so that damaged and missing files are errors, not missing values."""
+"""Open a cube's store so that damaged and missing files raise errors instead of reading as missing values."""
 
 import json
 from collections.abc import Iterable
@@ -23,26 +23,26 @@ class CubeStore(LocalStore):
     """
 
     async def get(self, key: str, *arguments: Any, **keywords: Any) -> Any:
-        """Read a file or a part of it, as every store of Zarr does."""
+        """Read a file or a part of it (interface of Zarr stores)."""
         found = await super().get(key, *arguments, **keywords)
         return found if found is not None and len(found) else self._refuse_absent(key)
 
     def get_sync(self, key: str, **keywords: Any) -> Any:
-        """Read a file or a part of it, as every store of Zarr does."""
+        """Read a file or a part of it (interface of Zarr stores)."""
         found = super().get_sync(key, **keywords)
         return found if found is not None and len(found) else self._refuse_absent(key)
 
     async def get_partial_values(self, prototype: Any, key_ranges: Iterable[Any]) -> Any:
-        """Read parts of files, as every store of Zarr does."""
+        """Read parts of files (interface of Zarr stores)."""
         return [await self.get(key, prototype, part) for key, part in key_ranges]
 
     def _refuse_absent(self, key: str) -> None:
         """Raise StoreError if an absent file should be there; `key` is its path in the store."""
         name, _, place = key.partition("/c/")
         if not place:
-            return  # no array of this name
+            return  # not a chunk
         if not (self.root / "zarr.json").exists():
-            raise StoreError(f"{self.root} is no longer there; open the cube again where it is now")
+            raise StoreError(f"{self.root} no longer exists; open the cube again from its new place")
         if _is_expected(self.root, name, place):
             raise StoreError(
                 f"{self.root / key} is missing or empty, although it was written; copy the cube again, or "
@@ -59,7 +59,7 @@ def _is_expected(root: Path, name: str, place: str) -> bool:
     attributes = read_metadata(root)["attributes"]
     if name not in CHUNKED or attributes.get(FINISHED):
         return True
-    # "3/0/0" of "z" is chunk 3, "0/3" of "frame_fault" as well
+    # chunk 3 is "3/0/0" in z, and "0/3" in frame_fault
     number = int(place.split("/")[1 if name == "frame_fault" else 0])
     return name != "frame_status" and is_started(root, number)
 
@@ -86,9 +86,9 @@ def find_store(path: str | Path) -> Path:
         return cubes[0]
     if cubes:
         raise StoreError(
-            f"{path} holds {len(cubes)} cubes: name one of {', '.join(one.name for one in cubes)}"
+            f"{path} contains {len(cubes)} cubes: name one of {', '.join(one.name for one in cubes)}"
         )
-    raise StoreError(f"{path} is a folder that holds no cube; make one with `wavefield run`")
+    raise StoreError(f"{path} is a folder without a cube; make one with `wavefield run`")
 
 
 def cubes_in(folder: Path) -> list[Path]:
@@ -115,7 +115,7 @@ def open_group(path: Path, mode: Literal["r", "r+"] = "r") -> CubeGroup:
         return group
     except StoreError:
         raise
-    except Exception as error:  # whatever a library makes of damaged bytes
+    except Exception as error:  # libraries raise errors of many kinds on damaged bytes
         raise StoreError(f"{path} is damaged ({one_line(error)[:200]}); copy the cube again") from None
 
 

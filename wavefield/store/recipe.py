@@ -1,4 +1,8 @@
-"""The recipe of a cube: all inputs that determine its values, as plain data with a hash."""
+"""The recipe of a cube: everything that determines its values, as plain data with a hash.
+
+A run resumes only with the recipe of its store. Results made from a cube, such as waves, carry the identity
+of the cube (`source_of`) and the state of its steps (`state_of`).
+"""
 
 import hashlib
 import json
@@ -24,7 +28,8 @@ def recipe_of(attributes: Mapping[Any, Any]) -> dict[str, Any]:
         return {}
 
 
-# entries that no value depends on: the name, what was learned (it follows from the rest), versions
+# entries that are not part of the hash: the learned record follows from the others, and no value depends on
+# the name; the version of the algorithm counts, not that of the software
 _LABELS = ("experiment", "record", "software")
 
 

@@ -1,4 +1,8 @@
-"""The verdict on a measurement: one line, and remarks with what to do."""
+"""The verdict on a measurement: its remarks, and one line that sums them up.
+
+A remark is one finding with its meaning and a remedy. Its weight is *note* (for information), *remark* (to be
+considered) or *grave* (results are not usable).
+"""
 
 import json
 import re
@@ -65,7 +69,7 @@ class Verdict:
 
     @property
     def weight(self) -> Weight:
-        """Weight of the gravest remark."""
+        """Weight of the gravest remark; "note" without remarks."""
         return self.remarks[0].weight if self.remarks else "note"
 
     @property
@@ -112,17 +116,17 @@ def read_verdict(store: str | Path) -> Verdict | None:
         refuse_pipe(path, StoreError)
         data = json.loads(path.read_text(encoding="utf-8"))
         if data.pop("checksum") != _checksum(data):
-            raise ValueError("its checksum is another")
+            raise ValueError("its checksum does not match")
         remarks = [Remark(**remark) for remark in data["remarks"]]
         return Verdict.of(remarks, data["pairs"], data.get("frames", ()))
     except (FileNotFoundError, NotADirectoryError):
         return None
     except StoreError:
         raise
-    except Exception as error:  # whatever damaged bytes hold
+    except Exception as error:  # damaged bytes raise errors of many kinds
         raise StoreError(
-            f"{path} is not a verdict as wavefield wrote it ({one_line(error)[:200]}); move it, and "
-            "`wavefield run EXPERIMENT` writes it again"
+            f"{path} is not a verdict written by wavefield, or is damaged ({one_line(error)[:200]}); move "
+            "it, and `wavefield run EXPERIMENT` writes it again"
         ) from None
 
 

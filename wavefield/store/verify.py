@@ -1,4 +1,8 @@
-"""Verify a store: every file is there, and its checksum is right."""
+"""Verify a store: all files exist, and their checksums are right.
+
+The ledger is the status of each step in the store (`wavefield.store.ledger`); a chunk is a range of steps
+that was written at once.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -50,7 +54,7 @@ class Verification:
             state = "as it was written" if self.sound else "not as it was written: make it again"
             return f"{self.store} is {state}"
         if self.sound:
-            return f"{self.store}: {self.done} of {self.steps} steps are done, and all of them are as written"
+            return f"{self.store}: {self.done} of {self.steps} steps are done, and none of them is damaged"
         lines = [f"{self.store}: {len(self.starts)} chunks are damaged"]
         for what in dict.fromkeys(damage.what for damage in self.damages):
             of = [damage for damage in self.damages if damage.what == what]
@@ -91,7 +95,7 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
 
     Examples
     --------
-    A cube of which a file is lost.
+    A cube that has lost a file.
 
     >>> import shutil
     >>> copy = shutil.copytree("cube.zarr", "copy.zarr")
@@ -101,7 +105,7 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
     >>> [(damage.variable, damage.what) for damage in verify(copy).damages]
     [('z', 'missing')]
     """
-    from wavefield.store.cube import open_stored  # xarray, which a run does not need at its start
+    from wavefield.store.cube import open_stored  # imports xarray, which a run needs only at its end
 
     path = find_store(store)
     if path.is_dir() and not is_cube(path) and has_mark(path):
@@ -109,7 +113,7 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
         return Verification(path, damages=() if sound else (Damage("", 0, 0, "not as it was written"),))
     group = open_group(path)
     layout = read_layout(group)
-    open_stored(path, chunks=None).drop_vars(CHUNKED, errors="ignore").load()  # axes, gains: raises
+    open_stored(path, chunks=None).drop_vars(CHUNKED, errors="ignore").load()  # axes, gains
     chunks, damages = layout.chunks(), list[Damage]()
     for number in range(len(chunks)):
         damages += _damages(path, group, layout, number)
@@ -140,7 +144,7 @@ def _damages(
     try:
         if not np.asarray(group["frame_status"][start:stop]).any():
             return
-    except Exception:  # whatever a codec makes of damaged bytes
+    except Exception:  # codecs raise errors of many kinds on damaged bytes
         yield damage("frame_status")
         return
     for name in (name for name in CHUNKED if name in group):

@@ -1,4 +1,4 @@
-"""The store of a cube's waves."""
+"""Write and open the store of a cube's waves: spectra and other results of `wavefield analyze`."""
 
 import warnings
 from collections.abc import Iterable
@@ -32,11 +32,11 @@ def write_waves(tree: xr.DataTree, path: str | Path, source: str = "", inputs: I
     with atomic(path, product, inputs=inputs) as draft, warnings.catch_warnings():
         # readers warn without consolidated metadata, zarr warns with it
         warnings.filterwarnings("ignore", message="Consolidated metadata")
-        # many small arrays: made in memory, as zarr hands every file to another thread and waits for it
+        # written in memory first, because Zarr waits for another thread at each of the many small files
         files: dict[str, Any] = {}
         store = MemoryStore(files)
         tree.to_zarr(store, mode="w", consolidated=False)
-        zarr.consolidate_metadata(store)  # once: xarray does it anew for every group
+        zarr.consolidate_metadata(store)  # once; xarray would repeat it for every group
         for name, content in files.items():
             file = draft / name
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -44,7 +44,7 @@ def write_waves(tree: xr.DataTree, path: str | Path, source: str = "", inputs: I
 
 
 def open_waves(path: str | Path) -> xr.DataTree:
-    """Open a store of waves, lazily.
+    """Open a store of waves lazily.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def open_waves(path: str | Path) -> xr.DataTree:
     try:
         if read_mark(path) is None:
             raise StoreError(
-                f"{path} is not as `wavefield analyze` wrote it: parts are missing, damaged or were added; "
+                f"{path} is not as `wavefield analyze` wrote it: files are missing, damaged or were added; "
                 "move it, and write it again with `wavefield analyze CUBE`"
             )
         waves = xr.open_datatree(path, engine="zarr", chunks={})
@@ -92,7 +92,7 @@ def open_waves(path: str | Path) -> xr.DataTree:
         return waves
     except StoreError:
         raise
-    except Exception as error:  # whatever a library makes of damaged bytes
+    except Exception as error:  # libraries raise errors of many kinds on damaged bytes
         raise StoreError(
             f"{path} cannot be read as a wave store ({one_line(error)[:200]}); write it again "
             "with `wavefield analyze CUBE`"

@@ -1,9 +1,9 @@
-"""Write results into a cube, chunk by chunk, the ledger last; clear, reset and label them.
+"""Write results into a cube chunk by chunk; clear or reset steps; change labels.
 
-Each chunk is one shard of every variable, and one chunk of the ledger; no two chunks ever touch the same
-file, so any number of processes may write at once. Whole files are renamed into place, so a killed writer
-never leaves half a shard. The ledger ``frame_status(time)`` is written last: a step that is marked done has
-all its data.
+A chunk is a range of steps, and has one file in every array. Different chunks never share a file, so any
+number of processes may write at once. Files are renamed into place when complete, so a killed process never
+leaves half a file. The status of the steps (``frame_status``, the ledger) is written last: the data of a step
+that is marked done are complete.
 """
 
 import re
@@ -59,13 +59,13 @@ def write_chunk(
         if np.shape(fields[name]) != expected:
             raise ValueError(f"{name} has shape {np.shape(fields[name])}, expected {expected}")
     with writing(path), zarr.config.set(FILES_OF_ALL_CHUNKS):
-        for name in ("frame_status", *CHUNKED):  # Zarr would read what is there, which may be damaged
+        for name in ("frame_status", *CHUNKED):  # Zarr would first read these files, which may be damaged
             chunk_path(path, name, start // layout.chunk_steps).unlink(missing_ok=True)
         for name in CUBE_FIELDS:
             array = group[name]
             values = np.asarray(fields[name])
             array[start:stop] = in_16_bits(values, PACKING[name]) if array.dtype == np.int16 else values
-        last = layout.steps + 1 if stop == layout.steps else stop  # the last chunk owns the last frame
+        last = layout.steps + 1 if stop == layout.steps else stop  # the last chunk has one frame more
         codes = np.zeros((len(layout.cameras), last - start), np.uint8)
         for k, camera in enumerate(layout.cameras):
             for index, fault in faults.get(camera, {}).items():
