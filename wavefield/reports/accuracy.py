@@ -16,7 +16,7 @@ _STD_UNITS = (("z_std", "mm"), ("u_std", "mm/s"), ("v_std", "mm/s"), ("w_std", "
 
 
 def accuracy(run: Run) -> ReportSection:
-    """Return the section on misfits and uncertainties, pairs of cameras, and errors of a simulation."""
+    """Return the section on misfits, standard uncertainties, pairs of cameras, and errors of a simulation."""
     items = [*_internal(run.cube), *pair_items(run), *_against_truth(run)]
     shown = "misfits, standard uncertainties, pairs of cameras"
     compared = ", errors against the exact fields" if run.truth is not None else ""
@@ -99,7 +99,7 @@ _NAMES = {
 
 
 def pair_items(run: Run) -> list[Item]:
-    """Return pictures and a table of the errors of each pair of cameras, or the reason why there are none."""
+    """Return pictures and a table of the errors of each pair of cameras, or a text on why there are none."""
     found = run.pair_statistics
     if found is None:
         return [Text(f"Pairs of cameras are not compared: {run.reason('pair_statistics')}.")]
@@ -131,7 +131,10 @@ def pair_items(run: Run) -> list[Item]:
 
 
 def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
-    """Return a row per error: name, rms in cm and px, fraction beyond three times the rms, published rms."""
+    """Return a table row per error of pairs: name, rms in cm, in px, fraction beyond, published rms; as text.
+
+    `found` is `Run.pair_statistics`. The fraction beyond is that of errors larger than three times the rms.
+    """
     rows: list[tuple[str, ...]] = []
     for k in range(found.sizes["error"]):
         error = found.isel(error=k)
@@ -148,7 +151,11 @@ def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
 
 
 def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: float, label: str) -> None:
-    """Draw the densities of some errors; `factor` converts the stored to the displayed unit, in `label`."""
+    """Draw the densities of the errors of some quantities, one line per pair of cameras.
+
+    `factor` converts stored values to the displayed unit; `label` is a symbol and that unit, such as "eps_y
+    mm".
+    """
     symbol, unit = label.rsplit(" ", 1)
     errors = found.isel(error=np.isin(found.quantity, quantities))
     for k in range(errors.sizes["error"]):
@@ -164,9 +171,10 @@ def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: fl
 
 
 def pair_misfits(found: xr.Dataset) -> Figure:
-    """Draw the distributions of eps_y and eps' of each pair of cameras on its own.
+    """Draw the distributions of eps_y, mm, and of eps', px, for each pair of cameras on its own.
 
-    They correspond to the distributions of eps_Y and of PIV errors in Aubourg et al. (2019).
+    `found` is `Run.pair_statistics`. The figure corresponds to the distributions of eps_Y and of PIV errors
+    in Aubourg et al. (2019).
     """
     figure, axes = panels(2, height=4.6)
     _draw(axes[0, 0], found, ("eps_y",), 1e3, "eps_y mm")
@@ -178,8 +186,9 @@ def pair_misfits(found: xr.Dataset) -> Figure:
 def pair_differences(found: xr.Dataset) -> Figure:
     """Draw the distributions of differences between pairs of cameras in z, dx, dy and dz, px.
 
-    They correspond to the differences between three pairs, and between z of two pairs combined and of the
-    third, in Aubourg et al. (2019). The mean of each node in time is included.
+    `found` is `Run.pair_statistics`. Aubourg et al. (2019) show the same differences between three pairs, and
+    those between the z that two pairs give together and the z of the third pair. The mean of each node in
+    time is included.
     """
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     figure, axes = panels(2, 2, height=4.8)

@@ -45,8 +45,8 @@ def write_calibration(
 ) -> Path:
     """Write the page `index.html` and the file `numbers.yaml` of a calibration into a folder.
 
-    `target` draws the target found in the images, or returns None. Files that are not an earlier `product`
-    of the same experiment are not replaced (StoreError). Returns the path of the page.
+    `target` draws the target found in the images, or returns None. Returns the path of the page. Raises
+    StoreError if one of the files exists and is not an earlier `product` of the same experiment.
     """
     directory = Path(directory)
     content: dict[str, Any] = {
@@ -73,7 +73,7 @@ def write_calibration(
 
 
 def _predicted(calibration: Calibration) -> dict[str, Any]:
-    """Return the camera model and the uncertainties that the fit predicts."""
+    """Return the camera model and the errors that the fit predicts, for `numbers.yaml`."""
     errors = calibration.predicted
     assert errors is not None
     return {
@@ -89,7 +89,10 @@ def _predicted(calibration: Calibration) -> dict[str, Any]:
 def _figures(
     calibration: Calibration, observations: Observations, fit: Fit, surface: FlatSurface | None
 ) -> Iterator[CalibrationPicture]:
-    """Yield the pictures of the page."""
+    """Yield key, title and figure of the pictures of the page.
+
+    `surface` is the flat target as the rig triangulates it, if there is one.
+    """
     with suppress(RigError):  # cameras without a common field
         seen = common_field(calibration.rig.cameras.values())
         yield "rig", "The rig, and the water that all cameras see", rig_views(calibration.rig, seen)
@@ -102,7 +105,7 @@ def _figures(
 
 
 def _parameters(calibration: Calibration, observations: Observations, fit: Fit) -> dict[str, Any]:
-    """Return the parameters of each camera's lens and pose with their standard uncertainties."""
+    """Return the lens and pose of each camera as [value, standard uncertainty], by camera and parameter."""
     std, covariance = np.sqrt(np.diag(fit.covariance)), fit.covariance
     out: dict[str, Any] = {}
     for c, name in enumerate(observations.cameras):
@@ -132,7 +135,10 @@ def _parameters(calibration: Calibration, observations: Observations, fit: Fit) 
 
 
 def calibration_page(content: Content, drawn: Sequence[CalibrationPicture]) -> str:
-    """Return the HTML page for the content of `numbers.yaml` and the pictures."""
+    """Return the HTML page of a calibration.
+
+    `content` is what `numbers.yaml` holds, `drawn` are key, title and figure of each picture.
+    """
     usable = content["usable"]
     verdict = "the rig can be used" if usable else "the rig cannot be used"
     weight = "grave" if not usable else "remark" if content["notes"] else "note"
@@ -217,7 +223,10 @@ def _flat(content: Content) -> str:
 
 
 def with_std(value: float, std: float) -> str:
-    """Return a value ± its standard uncertainty to two digits of that, or "(held)" if it was not fitted."""
+    """Return a value ± its standard uncertainty, with two digits of the uncertainty.
+
+    If that is zero, because the value was not fitted, it ends with "(held)".
+    """
     if not std > 0:
         return f"{value:.6g} (held)"
     digits = max(0, 1 - int(np.floor(np.log10(std))))
@@ -237,16 +246,7 @@ def _lens(content: Content) -> Table:
 
 
 def rig_sentences(rig: Rig) -> Iterator[str]:
-    """Yield sentences on the distance of the cameras from the target and their common field of view.
-
-    Examples
-    --------
-    >>> from wavefield.rig import Camera
-    >>> down = Camera(1000, 1000, 499.5, 499.5, ((1, 0, 0), (0, -1, 0), (0, 0, -1)), (0, 0, 4), (1000, 1000))
-    >>> print(*rig_sentences(Rig({"cam1": down})), sep="\\n")
-    Distance from the target's origin: cam1 4.00 m; if you measure another, correct `mesh` by that ratio.
-    On the water a pixel is 4 mm; all cameras see x -1.9 to 1.9 m, y -1.9 to 1.9 m.
-    """
+    """Yield a sentence on the distance of each camera from the target, and one on their common field."""
     distances = ", ".join(
         f"{name} {float(np.linalg.norm(camera.centre)):.2f} m" for name, camera in rig.cameras.items()
     )
@@ -269,7 +269,7 @@ def rig_sentences(rig: Rig) -> Iterator[str]:
 
 
 def calibration_folder(run: Run) -> Path | None:
-    """Return the folder that `wavefield calibrate` wrote next to the rig file; None without one."""
+    """Return the folder of the calibration report next to the run's rig file; None if there is none."""
     if run.experiment is None or isinstance(run.experiment.rig, dict):
         return None
     rig = run.experiment.resolve(run.experiment.rig or "rig.yaml")
@@ -278,7 +278,7 @@ def calibration_folder(run: Run) -> Path | None:
 
 
 def calibration_section(run: Run) -> ReportSection:
-    """Return the section on the residuals of the calibration; its pictures are on a page of their own."""
+    """Return the section with a table of the residuals of the calibration; it names the page of pictures."""
     section = ReportSection("Calibration", folded=True)
     folder = calibration_folder(run)
     if folder is None:

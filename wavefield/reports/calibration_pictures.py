@@ -37,7 +37,10 @@ def _image_frame(axes: Axes, size: tuple[int, int]) -> None:
 
 
 def _draw_arrows(axes: Axes, pixel: Array, residual: Array, length: float, width: float, colour: str) -> None:
-    """Draw residuals (n, 2) at pixels (n, 2) as arrows; the 90 % quantile of them is `length` px long."""
+    """Draw residuals (n, 2), px, as arrows at the pixels (n, 2), with a key.
+
+    The 90 % quantile of the residuals is drawn `length` px long; `width` is that of matplotlib's `quiver`.
+    """
     large = float(np.percentile(np.hypot(*residual.T), 90)) or 1e-9
     arrows = axes.quiver(
         *pixel.T, *residual.T, angles="xy", scale_units="xy", scale=large / length, width=width, color=colour
@@ -47,7 +50,7 @@ def _draw_arrows(axes: Axes, pixel: Array, residual: Array, length: float, width
 
 
 def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
-    """Draw the residuals of one camera, by its index: every point, and the mean in cells of the image."""
+    """Draw the residuals of the camera with this index: at each point, and the mean in cells of the image."""
     o = observations
     rows = o.camera == camera
     pixel, miss, size = o.pixel[rows], fit.residual[rows], o.sizes[camera]
@@ -86,7 +89,7 @@ def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
 
 
 def coverage(observations: Observations) -> Figure:
-    """Draw the positions of the target's points in the images of each camera, one colour per pose."""
+    """Draw where in the images of each camera the target's points are, with one colour per pose."""
     o = observations
     count = len(o.cameras)
     figure = _figure(3.9 * count + 0.3, 4.6)
@@ -111,7 +114,7 @@ def coverage(observations: Observations) -> Figure:
 
 
 def flat_target(surface: FlatSurface, mesh: float) -> Figure:
-    """Draw z of the flat target's nodes as the rig triangulates it; `mesh` of the target in metres."""
+    """Draw z of the nodes of the flat target as the rig triangulates them; `mesh` is their distance, m."""
     figure = _figure(10.4, 6.0)
     axes = figure.subplots()
     kept = surface.plane.kept
@@ -136,10 +139,10 @@ def flat_target(surface: FlatSurface, mesh: float) -> Figure:
 def target_points(
     images: Mapping[str, np.ndarray], points: Mapping[str, TargetPoints], rig: Rig | None
 ) -> Figure:
-    """Draw one image (row, column) of the target per camera with the nodes found.
+    """Draw one image (row, column) of the target per camera with the nodes found in it.
 
-    A rig whose z = 0 is this pose of the target adds a circle at the origin. Corresponds to the figure of the
-    calibration grid in Aubourg et al. (2019).
+    If z = 0 of the rig is this pose of the target, pass `rig`: a circle marks its origin. Corresponds to the
+    figure of the calibration grid in Aubourg et al. (2019).
     """
     figure, axes = panels(len(images), width=4.0, height=3.8)
     marks = {"marker": "+", "linestyle": "", "color": LINES[2]["color"], "markersize": 5}
@@ -155,9 +158,9 @@ def target_points(
 
 
 def draw_found(result: TargetRig) -> Figure | None:
-    """Draw the nodes found in one image of each camera, of the flat pose if there is one.
+    """Draw the nodes found in one image of each camera, or return None if no camera has images.
 
-    None if no camera has an image: points may come from tables.
+    It is the flat pose, or else the pose with the most nodes. Points from tables have no images.
     """
     poses = {
         camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))

@@ -25,9 +25,10 @@ _CAPTION = "A dash: not measured, not analysed, or the record is too short"
 
 
 def compare(title: str, cubes: Sequence[tuple[str, Path]], output: str | Path) -> Path:
-    """Write the page that compares runs, each given by its name and the path of its cube; return its path.
+    """Write the page that compares the runs of a catalog, and return its path.
 
-    A cube that does not exist yet is listed as not run.
+    `cubes` are the name of each run and the path of its cube; a run whose cube does not exist is listed as
+    not run yet. `title` is the title of the page.
     """
     output = Path(output)
     groups = {run: _groups(cube) for run, cube in cubes if cube.is_dir()}
@@ -40,7 +41,7 @@ def compare(title: str, cubes: Sequence[tuple[str, Path]], output: str | Path) -
 
 
 def _groups(cube: Path) -> dict[str, xr.Dataset]:
-    """Return the groups of a cube's wave store that `_COLUMNS` needs, by name; empty without waves."""
+    """Return by name the groups of a cube's wave store that `_COLUMNS` needs; empty without the store."""
     run, names = open_run(cube), ("statistics", "kinematics")
     return {name: group for name in names if (group := run.wave_group(name)) is not None}
 

@@ -34,7 +34,7 @@ def report(
     store : path
         Cube written by `run`.
     output : path, optional
-        File to write; by default ``..._report.html`` next to the cube.
+        File to write; by default ``report.html`` next to ``cube.zarr``, ``a_report.html`` next to ``a.zarr``.
     progress : callable, optional
         Called with the number of sections drawn and of all sections.
 
@@ -63,12 +63,12 @@ def report(
 
 
 def page_of(cube: str | Path, kind: str) -> Path:
-    """Return the path of a kind of page ("report", "paper") next to its cube."""
+    """Return the default path of a page of a cube, next to it; `kind` is "report" or "paper"."""
     return beside(find_store(cube), kind, ".html")
 
 
 def measured_run(store: str | Path) -> Run:
-    """Return the run of a cube; raise StoreError if no step is measured yet."""
+    """Return the run of a cube; raise StoreError if the run has finished no step yet."""
     run = open_run(store)
     if not (run.cube.frame_status.values > 0).any():
         raise StoreError(f"{store} has no measured step yet; run `wavefield run` first")
@@ -106,7 +106,10 @@ def write_report(
 
 
 def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSection]]:
-    """Return functions that draw the sections; a light sheet has none on surface and waves."""
+    """Return one function per section of the report, in order, which draws it.
+
+    A report on a light sheet has no sections on waves and elevation.
+    """
     numbers = RunNumbers(run)
     builders: list[Callable[[], ReportSection]] = [partial(result, numbers), partial(attention, run, verdict)]
     of_surface = [] if in_light_sheet(run) else [spectra, nonlinearity, distributions]
@@ -119,7 +122,10 @@ def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSe
 def build_all(
     builders: list[Callable[[], ReportSection]], progress: Callable[[int, int], None] | None
 ) -> list[ReportSection]:
-    """Draw all sections of a page and report progress."""
+    """Return the sections of a page, drawn by `builders`.
+
+    `progress` is called with the number of sections drawn and of all sections.
+    """
     sections = []
     for k, build in enumerate(builders):
         if progress:
@@ -131,7 +137,7 @@ def build_all(
 
 
 def head_of(run: Run, verdict: Verdict | None) -> Head:
-    """Return the top of the report: title, description, date, verdict."""
+    """Return the top of the report: title, description of the experiment, date, and line of the verdict."""
     made = f"This page made {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}".strip()
     return Head(
         f"{experiment_name(run)}: {'velocity' if in_light_sheet(run) else 'water surface and velocity'}",
@@ -142,5 +148,5 @@ def head_of(run: Run, verdict: Verdict | None) -> Head:
 
 
 def experiment_name(run: Run) -> str:
-    """Return the name of the experiment of a run."""
+    """Return the name of the experiment of a run, or "unnamed experiment"."""
     return str(run.cube.attrs.get("experiment", "")) or "unnamed experiment"

@@ -31,7 +31,7 @@ def surface_picture(snap: xr.Dataset) -> Picture:
 
 
 def snapshots(run: Run) -> ReportSection:
-    """Return the section on the surface and its velocity at one moment."""
+    """Return the section with the surface and its velocity at one moment."""
     snap = snapshot(run.cube)
     velocity = Picture(
         figures.velocity_map(snap),
@@ -67,7 +67,7 @@ def distributions(run: Run) -> ReportSection:
 
 
 def coverage(run: Run) -> ReportSection:
-    """Return the section on where and when the surface was measured, and on faulty steps."""
+    """Return the section on where and when the surface was measured, and on steps with faults."""
     cube = run.cube
     step_status = cube.frame_status.values
     faulty = np.flatnonzero(step_status != int(FrameStatus.DONE))
@@ -94,7 +94,7 @@ def coverage(run: Run) -> ReportSection:
 
 
 def setup(run: Run) -> ReportSection:
-    """Return the section on the cameras and their images."""
+    """Return the section on the cameras: drawings of the rig and an image of each camera."""
     section = ReportSection("Set-up", folded=True)
     if run.rig is None:
         return section
@@ -126,7 +126,7 @@ def setup(run: Run) -> ReportSection:
 
 
 def _middle_frames(run: Run) -> dict[str, np.ndarray]:
-    """Return a frame of each camera: the middle one, or the first or last if that cannot be read."""
+    """Return by camera the middle frame of the record, or else the first or last, whichever can be read."""
     out = {}
     for name, series in run.frames.items():
         if run.rig is not None and name in run.rig.cameras:
@@ -138,14 +138,17 @@ def _middle_frames(run: Run) -> dict[str, np.ndarray]:
 
 
 def elevation(run: Run) -> ReportSection:
-    """Return the section on the spectrum of the elevation and on wave probes."""
+    """Return the section on the spectrum of the elevation and on the wave probes."""
     items = [*elevation_pictures(run), *probe_items(run)]
     title = "Elevation and wave probes" if probes_of(run)[0] is not None else "Elevation"
     return ReportSection(title, items, layout="beside")
 
 
 def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
-    """Return the probes of a run and "", or None and the reason, which is empty if there should be none."""
+    """Return the probes of a run and "", or None and the reason why they are absent.
+
+    The reason is empty if the experiment names no probes.
+    """
     try:
         probes = run.probes
     except WavefieldError as error:
@@ -155,7 +158,7 @@ def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
 
 
 def elevation_pictures(run: Run) -> list[Item]:
-    """Return a picture of the elevation spectrum by each method; empty without waves."""
+    """Return a picture of the elevation spectrum by each method; an empty list without a wave store."""
     group, fusion = run.wave_group("spectra"), run.wave_group("fusion")
     if group is None or "Ez" not in group:
         return []
@@ -179,7 +182,10 @@ def elevation_pictures(run: Run) -> list[Item]:
 
 
 def probe_items(run: Run) -> list[Item]:
-    """Return a picture of probes and cameras over time, and a table with a row for each probe of the run."""
+    """Return a picture of probes and cameras over time, and a table of their differences, by probe.
+
+    The list is empty without probes, and has no picture if no probe can be compared.
+    """
     probes, _ = probes_of(run)
     if probes is None:
         return []
@@ -210,10 +216,10 @@ def probe_items(run: Run) -> list[Item]:
 
 
 def at_probe(cube: xr.Dataset, probe: xr.Dataset) -> xr.Dataset | str:
-    """Compare a probe with the cube at its position, over the middle of the record.
+    """Compare a probe with the cube at the position of the probe, over the middle of the record.
 
-    Returns `elevation` of the probe and `z` of the cube, (time,), m, without their means, and their
-    `rms_difference` (m) and `correlation`; or the reason, a string, if they cannot be compared.
+    Returns `elevation` of the probe and `z` of the cube, (time,), m, without their means, with their
+    `rms_difference` (m) and `correlation`. If they cannot be compared, it returns the reason, a string.
     """
     first = max(0, (cube.sizes["time"] - MAX_STEPS) // 2)
     z = cube.z.isel(time=slice(first, first + MAX_STEPS))
@@ -245,7 +251,7 @@ def at_probe(cube: xr.Dataset, probe: xr.Dataset) -> xr.Dataset | str:
 
 
 def _around(z: xr.DataArray, x: float, y: float) -> xr.DataArray:
-    """Return z (time, y, x) at the four nodes around a point, loaded."""
+    """Return z (time, 2, 2) at the four nodes around a point x, y, metres, loaded."""
     i, j = (int(np.clip(np.searchsorted(z[d], at) - 1, 0, z.sizes[d] - 2)) for d, at in (("x", x), ("y", y)))
     return z.isel(x=slice(i, i + 2), y=slice(j, j + 2)).load()
 
@@ -255,12 +261,18 @@ MAX_BYTES = 1_500_000  # of the uncompressed fields; compression halves them at 
 
 
 def player(cube: xr.Dataset, still: Picture) -> Player:
-    """Return the player of a cube (time, y, x), with a picture for readers without scripts."""
+    """Return the player, an animation of the surface, for a cube (time, y, x).
+
+    `still` is a picture for readers without scripts.
+    """
     return Player(pack(cube), still)
 
 
 def excerpt(cube: xr.Dataset) -> xr.Dataset:
-    """Return consecutive steps in the middle of the record, thinned in space to fit into the page."""
+    """Return z, u, v, w (time, y, x) for the player, loaded: successive steps in the middle of the record.
+
+    Nodes are left out so that the fields fit into the page.
+    """
     thin = max(1, int(np.ceil(np.sqrt(cube.sizes["x"] * cube.sizes["y"] / MAX_NODES))))
     nodes = -(-cube.sizes["x"] // thin) * -(-cube.sizes["y"] // thin)
     steps = max(2, MAX_BYTES // (2 * nodes))
@@ -271,10 +283,10 @@ def excerpt(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _code(values: np.ndarray, half: float) -> str:
-    """Encode values (time, y, x) as text for the player.
+    """Encode values (time, y, x) as text for the script of the player.
 
-    Codes 1 to 255 stand for values from -half to half, 0 for a missing one. Differences of the codes along x
-    and y, modulo 256, are compressed and written in base 64.
+    Codes 1 to 255 stand for values from -half to half, 0 for a missing value. Differences of the codes along
+    x and y, modulo 256, are compressed and written in base 64.
     """
     scaled = np.round(np.clip(128 + 127 * values / half, 1, 255))
     codes = np.where(np.isfinite(values), scaled, 0).astype(np.uint8)
@@ -283,7 +295,7 @@ def _code(values: np.ndarray, half: float) -> str:
 
 
 def pack(cube: xr.Dataset) -> dict[str, str]:
-    """Return the data of the player for a cube (time, y, x), by the name of the HTML element."""
+    """Return the data of the player for a cube (time, y, x), as text by the name of the HTML element."""
     part = excerpt(cube)
     every = max(1, round(max(part.sizes["x"], part.sizes["y"]) / MARKS_ACROSS))
     thin = slice(every // 2, None, every)

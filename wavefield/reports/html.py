@@ -25,7 +25,7 @@ WIDE_PX = 1000  # a wider picture has several panels and takes a row of its own
 
 
 class Item:
-    """A part of a section."""
+    """A part of a section: picture, table, text, ..."""
 
     @property
     def kind(self) -> str:
@@ -35,7 +35,7 @@ class Item:
 
 @dataclass
 class Picture(Item):
-    """A picture from a figure or from the bytes of a PNG file."""
+    """A picture in a page, made from a figure or from the bytes of a PNG file."""
 
     figure: InitVar[Figure | bytes]
     caption: str  # text below the picture: what it shows and how to read it
@@ -49,7 +49,7 @@ class Picture(Item):
 
     @property
     def data(self) -> str:
-        """The PNG file in base 64."""
+        """The PNG file in base 64, as text."""
         return base64.b64encode(self.png).decode()
 
     @property
@@ -59,7 +59,7 @@ class Picture(Item):
 
 
 def small_png(png: bytes) -> bytes:
-    """Return a PNG file with a palette, or the given one if that is smaller."""
+    """Return a PNG file as one with a palette of colours, or the given file if that is smaller."""
     image = Image.open(io.BytesIO(png)).convert("RGB")
     buffer = io.BytesIO()
     image.quantize(_COLOURS, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
@@ -68,7 +68,7 @@ def small_png(png: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Table(Item):
-    """Rows of text below a heading row."""
+    """A table of text with a heading row."""
 
     caption: str
     head: Sequence[str]  # names of the columns
@@ -84,7 +84,7 @@ class Text(Item):
 
 @dataclass(frozen=True)
 class Listing(Item):
-    """A long plain text that a click on its title unfolds."""
+    """A long plain text, hidden until the reader clicks on its title."""
 
     title: str
     words: str
@@ -113,7 +113,7 @@ class Remarks(Item):
 
 @dataclass(frozen=True)
 class Player(Item):
-    """An animation of the surface, with a slider."""
+    """An animation of the surface, which a slider moves to another time."""
 
     data: Mapping[str, str]  # result of `pack`, for the script
     still: Picture  # the surface at one moment, for readers without scripts
@@ -121,7 +121,7 @@ class Player(Item):
 
 @dataclass
 class ReportSection:
-    """A part of the page."""
+    """A section of a page; `render` leaves it out if it has no items."""
 
     title: str
     items: list[Item] = field(default_factory=list)
@@ -158,7 +158,7 @@ def with_code(words: str) -> Markup:
 
 
 def capital(words: str) -> str:
-    """Return a sentence with a capital letter, unless it begins with code or a variable."""
+    """Return a sentence with a capital first letter, unless it begins with the name of a variable."""
     return words if words.startswith(("z ", "u ", "v ", "w ")) else words[:1].upper() + words[1:]
 
 
@@ -176,6 +176,6 @@ def _environment() -> Environment:
 
 
 def render(head: Head, sections: Sequence[ReportSection]) -> str:
-    """Return the HTML of the page; sections without items are left out."""
+    """Return the HTML of a page with a head and sections; sections without items are left out."""
     sections = [section for section in sections if section.items]
     return _environment().get_template("page.html").render(head=head, sections=sections)

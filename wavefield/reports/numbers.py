@@ -17,28 +17,30 @@ _FIELDS = ("z", "u", "v", "w", "eps_y", "eps_piv", "quality")
 
 
 def rms_of(values: xr.DataArray | np.ndarray) -> float:
-    """Return the rms of the finite values; NaN if there are none."""
+    """Return the rms of the finite values of an array of any shape; NaN if there are none."""
     finite = np.asarray(values, float)
     finite = finite[np.isfinite(finite)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
 def median_of(values: object) -> float:
-    """Return the median of the finite values; NaN if there are none."""
+    """Return the median of the finite values of an array of any shape; NaN if there are none."""
     finite = np.asarray(values, float)
     finite = finite[np.isfinite(finite)]
     return float(np.median(finite)) if finite.size else float("nan")
 
 
 def number(value: float, unit: str = "", digits: int = 3) -> str:
-    """Return a value with its unit, to significant digits; a dash if it is not finite."""
+    """Return a value with its unit as text, to some significant digits; a dash if it is not finite."""
     if not np.isfinite(value):
         return "–"
     return f"{value:.{digits}g}{' ' + unit if unit else ''}"
 
 
 def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> str:
-    """Return a variable of a wave group times a factor, ± its standard uncertainty; empty without both.
+    """Return a variable of a wave store's group times a factor, ± its standard uncertainty, as text.
+
+    The text is empty if the group, the variable or its uncertainty `name_std` is missing or not finite.
 
     Examples
     --------
@@ -52,7 +54,7 @@ def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> s
 
 
 def small(value: float, unit: str) -> str:
-    """Return a length or an angle to two digits without an exponent.
+    """Return a length or an angle as text, to two digits, without an exponent.
 
     Examples
     --------
@@ -63,13 +65,13 @@ def small(value: float, unit: str) -> str:
 
 
 def thinned(cube: xr.Dataset, *names: str) -> xr.Dataset:
-    """Return variables of a cube, loaded; a large cube is thinned in time to `MAX_VALUES` values."""
+    """Return the named variables of a cube, loaded, each thinned in time to at most about `MAX_VALUES`."""
     size = cube.sizes["time"] * cube.sizes["y"] * cube.sizes["x"]
     return cube[list(names)].isel(time=slice(None, None, -(-size // MAX_VALUES))).load()
 
 
 def snapshot(cube: xr.Dataset) -> xr.Dataset:
-    """Return the step near the middle of the record with the most measured nodes, (y, x), loaded."""
+    """Return the step (y, x) with the most values among those near the middle of the record, loaded."""
     middle = cube.sizes["time"] // 2
     near = cube.isel(time=slice(max(0, middle - _SNAPSHOT_STEPS), middle + _SNAPSHOT_STEPS + 1))
     shares = np.isfinite(near.w).mean(("y", "x")).values
@@ -78,7 +80,7 @@ def snapshot(cube: xr.Dataset) -> xr.Dataset:
 
 
 def extremes_of(snap: xr.Dataset) -> str:
-    """Return a sentence with the ranges of z and w of a snapshot (y, x)."""
+    """Return a sentence with the ranges of z and w in one step (y, x) of a cube."""
     z, w = 100 * snap.z, 100 * snap.w
     return (
         f"At {moment_title(snap)} z is between {float(z.min()):.2g} and {float(z.max()):.2g} cm and w "
@@ -87,12 +89,15 @@ def extremes_of(snap: xr.Dataset) -> str:
 
 
 def reason_of(run: Run, name: str) -> str:
-    """Return why a part of a run is absent, without the folders of this machine; empty if it is there."""
+    """Return why the part `name` of a run, such as "waves", is absent; empty if it is there.
+
+    Paths in it are relative to the folders of the run.
+    """
     return in_folder(run, run.reason(name))
 
 
 def in_folder(run: Run, words: str) -> str:
-    """Return a text with paths relative to the folders of the cube and of its experiment."""
+    """Return `words` with the paths of the folders of the cube and of its experiment taken off."""
     experiment = run.experiment.path.parent if run.experiment is not None else run.store.parent
     for folder in (run.store.parent, run.store.absolute().parent, experiment, experiment.absolute()):
         if folder != Path():
@@ -101,19 +106,19 @@ def in_folder(run: Run, words: str) -> str:
 
 
 def in_light_sheet(run: Run) -> bool:
-    """Return whether a run measured velocities in a light sheet, which has no surface and no waves."""
+    """Return whether a run measured velocities in a light sheet; it then has no surface and no waves."""
     return run.recipe.get("settings", {}).get("sheet_thickness") is not None
 
 
 @dataclass(frozen=True, eq=False)
 class RunNumbers:
-    """Coverage and status of a run, computed once for several sections."""
+    """Numbers of a run on coverage and status, each computed once for several sections."""
 
     run: Run
 
     @cached_property
     def part(self) -> xr.Dataset:
-        """The fields (time, y, x), loaded, thinned in time if they are large."""
+        """The main fields (time, y, x), loaded; a large cube is thinned in time."""
         return thinned(self.run.cube, *_FIELDS)
 
     @cached_property
@@ -122,29 +127,29 @@ class RunNumbers:
 
     @cached_property
     def n_in_view(self) -> int:
-        """Number of values at nodes in view; at least 1."""
+        """Number of values of `part` at nodes that the cameras see, at least 1."""
         quality = self.part.quality
         seen = (quality != 0) & ((quality & np.uint16(Quality.OUTSIDE | Quality.MASKED)) == 0)
         return max(int(seen.sum()), 1)
 
     @property
     def in_view(self) -> float:
-        """Fraction of the grid's nodes that are in view."""
+        """Fraction of all values of `part` that are at nodes that the cameras see."""
         return float(self.n_in_view / self.part.quality.size)
 
     @property
     def measured(self) -> float:
-        """Fraction of the grid's nodes that were measured."""
+        """Fraction of all values of `part` that were measured, not filled."""
         return float(self._measured / self.part.quality.size)
 
     @property
     def measured_in_view(self) -> float:
-        """Fraction of the nodes in view that were measured."""
+        """Fraction of the values at nodes that the cameras see that were measured, not filled."""
         return self._measured / self.n_in_view
 
     @cached_property
     def step_status(self) -> str:
-        """Number of steps with each status, as text."""
+        """Number of steps with each `frame_status`, as text."""
         status = self.run.cube.frame_status.values
         counts = {s.name.lower().replace("_", " "): int((status == s).sum()) for s in FrameStatus}
         return ", ".join(f"{n} {words}" for words, n in counts.items() if n)

@@ -32,14 +32,14 @@ def paper(
     rest: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write the figures and numbers of Aubourg et al. (2019) for one experiment as one HTML file.
+    """Draw the figures of Aubourg et al. (2019) from a cube, in one file; compare its numbers with theirs.
 
     Parameters
     ----------
     store : path
         Cube written by `run`.
     output : path, optional
-        File to write; by default ``..._paper.html`` next to the cube.
+        File to write; by default ``paper.html`` next to ``cube.zarr``, ``a_paper.html`` next to ``a.zarr``.
     rest : path, optional
         Cube of still water from the same cameras; without it the figure of still water is left out.
     progress : callable, optional

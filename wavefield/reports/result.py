@@ -30,13 +30,13 @@ _NO_PEAK = "No spectral peak"  # first words of the note that gives the reason
 
 
 def result(numbers: RunNumbers) -> ReportSection:
-    """Return the first section: the surface in motion and the main results."""
+    """Return the section at the top of the report: an animation of the surface and the main results."""
     still = surface_picture(snapshot(numbers.run.cube))
     return ReportSection("Result", [player(numbers.run.cube, still), Facts(facts(numbers))], layout="result")
 
 
 def facts(numbers: RunNumbers) -> list[tuple[str, str, str]]:
-    """Return name, value and note of each main result."""
+    """Return name, value and note of each main result, as text."""
     run, cube = numbers.run, numbers.run.cube
     rate, u, v, w = float(cube.attrs["frame_rate"]), *(number(100 * rms_of(numbers.part[n])) for n in "uvw")
     duration = cube.sizes["time"] / rate
@@ -61,14 +61,17 @@ def facts(numbers: RunNumbers) -> list[tuple[str, str, str]]:
 
 
 def _percent(share: float) -> str:
-    """Return a fraction in percent; only exactly 1 becomes 100 %."""
+    """Return a fraction as text in percent; only a fraction of exactly 1 becomes "100 %"."""
     if share == 1:
         return "100 %"
     return f"{min(100 * share, 99.99):.{4 if share > 0.99 else 3}g} %"
 
 
 def _of_waves(run: Run) -> list[tuple[str, str, str]]:
-    """Return rows of wave height and peak period with standard uncertainties, or why they are unknown."""
+    """Return rows (name, value, note) of wave height and peak period with their standard uncertainties.
+
+    The note of an unknown value is the reason.
+    """
     statistics = run.wave_group("statistics")
     if statistics is None:
         reason = reason_of(run, "waves") or "the waves have no statistics"
@@ -90,7 +93,7 @@ def _of_waves(run: Run) -> list[tuple[str, str, str]]:
 
 
 def attention(run: Run, verdict: Verdict | None) -> ReportSection:
-    """Return the section with the remarks of the verdict and with what the report cannot show."""
+    """Return the section with the remarks of the verdict, and with what the report lacks and why."""
     items: list[Item] = []
     if verdict is None:
         items.append(Text("This cube has no verdict yet: rerun `wavefield run` on its experiment."))
@@ -110,7 +113,7 @@ def attention(run: Run, verdict: Verdict | None) -> ReportSection:
 
 
 def run_summary(numbers: RunNumbers) -> ReportSection:
-    """Return the section with misfits, coverage and other numbers of the run."""
+    """Return the section with misfits, steepness and other numbers of the run."""
     run, cube = numbers.run, numbers.run.cube
     eps_y, eps_piv = 1e3 * rms_of(numbers.part.eps_y), rms_of(numbers.part.eps_piv)
     gist = f"displacements differ by {number(eps_piv, 'px', 2)} (rms)"
@@ -138,7 +141,10 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
 
 
 def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str]) -> list[tuple[str, str]]:
-    """Return a table row with the fraction of visible nodes measured without each camera; may be empty."""
+    """Return a row with the fraction of visible nodes measured without each camera; empty if all had all.
+
+    `quality` is (time, y, x); `n_in_view` is the number of its values at visible nodes.
+    """
     shares = []
     for index, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(index) & ~Quality.FEWER_CAMERAS)
@@ -149,7 +155,7 @@ def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str
 
 
 def recipe(run: Run) -> ReportSection:
-    """Return the section on versions and all settings that the cube was made with."""
+    """Return the section on versions and on all settings that the run used for the cube."""
     attrs, made = run.cube.attrs, run.recipe
     stated = {name: attrs[name] for name in _STATED if name in attrs}
     stated |= {name: made[name] for name in ("algorithm", "frames", "grid") if name in made}

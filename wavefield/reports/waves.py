@@ -11,7 +11,10 @@ from wavefield.waves.motion import kinematics_at
 
 
 def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[Item]:
-    """Return pictures of the spectra E(k, omega) and E(kx, ky) of w."""
+    """Return pictures of the spectra E(k, omega) and E(kx, ky) of w.
+
+    The arguments are the groups ``/spectra`` and ``/dispersion`` of a wave store.
+    """
     energy = group.E.sel(quantity="w").values
     positive = energy[energy > 0]
     decades = float(np.log10(positive.max() / np.median(positive))) if positive.size else 0.0
@@ -33,7 +36,7 @@ def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[
 
 
 def _on_relation(dispersion: xr.Dataset | None) -> str:
-    """Return how much of the variance of w follows the dispersion relation; empty if unknown."""
+    """Return a phrase on how much of the variance of w follows the dispersion relation; empty if unknown."""
     if dispersion is None or "ridge_fraction" not in dispersion:
         return ""
     percent = 100 * float(dispersion.ridge_fraction)
@@ -41,7 +44,7 @@ def _on_relation(dispersion: xr.Dataset | None) -> str:
 
 
 def spectra(run: Run) -> ReportSection:
-    """Return the section with the spectra that `wavefield analyze` wrote; empty without them."""
+    """Return the section with the spectra that `wavefield analyze` wrote; it has no items without them."""
     section = ReportSection("Spectra", folded=True)
     group, dispersion = run.wave_group("spectra"), run.wave_group("dispersion")
     if run.waves is None or group is None:
@@ -105,7 +108,10 @@ def kinematics_picture(snap: xr.Dataset) -> Picture:
 
 
 def coherence_picture(coherence: xr.Dataset) -> Picture:
-    """Return a picture of the coherence of z_t with the terms of the kinematic boundary condition."""
+    """Return a picture of the coherence of z_t with the terms of the kinematic boundary condition.
+
+    `coherence` is the group ``/coherence`` of a wave store.
+    """
     valid = coherence.where(coherence["valid"]) if "valid" in coherence else coherence
     total, nonlinear = (median_of(np.abs(valid.C.sel(term=term).values)) for term in ("tot", "nl"))
     return Picture(
@@ -119,7 +125,10 @@ def coherence_picture(coherence: xr.Dataset) -> Picture:
 
 
 def nonlinear_ratio_picture(kinematics: xr.Dataset) -> Picture:
-    """Return a picture of the ratio of the nonlinear term to the vertical velocity."""
+    """Return a picture of the ratio of the nonlinear term to the vertical velocity.
+
+    `kinematics` is the group ``/kinematics`` of a wave store.
+    """
     ratio = kinematics.nonlinear_ratio_k
     return Picture(
         figures.nonlinear_ratio_curves(kinematics),
@@ -130,7 +139,7 @@ def nonlinear_ratio_picture(kinematics: xr.Dataset) -> Picture:
 
 
 def nonlinearity(run: Run) -> ReportSection:
-    """Return the section on the kinematic boundary condition z_t = w - u . grad z and coherence."""
+    """Return the section on the kinematic boundary condition z_t = w - u . grad z, and on coherence."""
     maps = kinematics_picture(snapshot(run.cube))
     section = ReportSection("Nonlinear term and coherence", [maps], folded=True)
     coherence, kinematics = run.wave_group("coherence"), run.wave_group("kinematics")
