@@ -1,14 +1,14 @@
-"""The standard uncertainty of z, u, v, w: the sum of the variances that this file computes.
+"""Standard uncertainty of z, u, v, w: its square is the sum of five variances, one function each.
 
-    std^2 = chi^2 (noise through the estimator)          posterior variance, by the information near a node;
-                                                         chi^2 is 1 for z
-          + (spectrum that the prior removes)            posterior variance as well
-          + (spectrum that the weights of frames remove)
-          + (ripples shorter than a block)
-          + (what the set-up states: epipolar error, height of beads, thickness of a light sheet)
+    std^2 = noise      noise of the images, propagated through the estimator (posterior variance); for
+                       velocities times a factor if the cameras disagree by more (chi^2 > 1)
+          + prior      waves that the prior suppresses (the rest of the posterior variance)
+          + frames     waves that interpolation between frames does not follow
+          + ripples    waves shorter than a block, which move single beads
+          + setup      calibration error, height of the beads, thickness of a light sheet
 
-Every term is an array (4, ny, nx): variances of z, m^2, and of the displacement per step dx, dy, dz, m^2. The
-uncertainty of z = 0, common to all nodes and times, is kept apart (`level_std`).
+Every term is an array (4, ny, nx), m^2: the variance of z, then of dx, dy, dz, the displacement per step. The
+uncertainty of the level z = 0, common to all nodes and times, is not a part of it (`level_std`).
 """
 
 from __future__ import annotations
@@ -44,20 +44,26 @@ from wavefield.water import dispersion
 Float = NDArray[Any]
 
 TERMS = "noise", "prior", "frames", "ripples", "setup"
-CHANGE_RATIO = 2.0  # error of z over its departure where waves start within 0.25 s at 20 frames/s: 1 to 4
-CHANGE_DETECTED = 2.0  # departure over that expected: 1.0 to 1.1 on beads, to 1.5 on texture; more is change
-CORRELATION_OF_DIRECTIONS = 0.75  # of two waves: 1/2 in all directions, 1 in one
-HEIGHT_PER_WIDTH = 0.2  # of beads on still water, by their width in the images: 0.17 to 0.20 when path-traced
-RELATIVE_HEIGHT_STD = 0.2  # of the visible part of a bead, which changes with light and view
-RIPPLE_BLOCKS = 2.5  # wavelength that stands for all waves that blocks do not resolve
-# Part of the blocks' residual variance that two cameras share: 0.29 to 0.47 in seas with ripples, at most
-# 0.13 in gaps, on short steep waves and of other renderers
+# `changed_waves` compares z from six frames with z from four. Error of z over this difference: 1 to 4 in
+# simulated seas that start within 0.25 s, at 20 frames/s
+CHANGE_RATIO = 2.0
+# difference over the expected one above which the waves change: it is 1.0 to 1.1 on beads, to 1.5 on texture
+CHANGE_DETECTED = 2.0
+# mean squared cosine of the angle between two waves: 1/2 if all directions are equally frequent, 1 for one
+CORRELATION_OF_DIRECTIONS = 0.75
+HEIGHT_PER_WIDTH = 0.2  # height of beads on still water over their width: 0.17 to 0.20 in path-traced images
+RELATIVE_HEIGHT_STD = 0.2  # relative uncertainty of a bead's visible height, which varies with light and view
+RIPPLE_BLOCKS = 2.5  # blocks: the one wavelength that stands for all waves that blocks do not resolve
+# Least fraction of the blocks' residual variance that two cameras share if there are ripples. It is 0.29 to
+# 0.47 in simulated seas with ripples, and at most 0.13 without: in gaps, on short steep waves, path-traced.
 MIN_SHARED = 0.2
-SEEN_BY_BLOCKS = 0.11  # of the ripples' variance, the least of 0.11 to 0.30: blocks hold different beads
+# Fraction of the variance of ripples that two cameras share, 0.11 to 0.30 in simulated seas; the least is
+# used. It is below 1 because the blocks of two cameras contain different beads.
+SEEN_BY_BLOCKS = 0.11
 
 
 class WaveRings(NamedTuple):
-    """Detected waves of a record in rings of wavenumber; fields are (rings,)."""
+    """The waves of a record, as the learned spectrum shows them, in rings of wavenumber; fields (rings,)."""
 
     k: Float  # rad/m
     variance: Float  # of z, m^2
@@ -71,7 +77,10 @@ def error_budget(
     frame_rate: float,
     times: Float = EVEN_TIMES,
 ) -> dict[str, Float]:
-    """Variances of z and dx, dy, dz of one step by term, each (4, ny, nx), m^2."""
+    """Terms of the variance of z, dx, dy, dz in one step, by the names TERMS, each (4, ny, nx), m^2.
+
+    Times of the six frames are in intervals from mid-time; frame_rate is in Hz.
+    """
     waves = detected_waves(record.elevation, geometry.pixel, frame_rate)
     return {
         "noise": noise(estimate),
@@ -83,10 +92,10 @@ def error_budget(
 
 
 def noise(estimate: StepEstimate) -> Float:
-    """Noise of the blocks, sum of F^2 A / (F^2 A + 1/S)^2 over the modes, propagated through the paths.
+    """Variance due to noise: sum of F^2 A / (F^2 A + 1/S)^2 over the modes, propagated through the paths.
 
-    Where displacements of the cameras disagree by more than this (chi^2 > 1) that of velocities is multiplied
-    by (1 + (2N - 3) chi^2) / (2N - 2).
+    If the displacements of N cameras disagree by more than this (chi^2 per degree of freedom above 1), the
+    variance of velocities is multiplied by (1 + (2N - 3) chi^2) / (2N - 2).
     """
     motion, surfaces = estimate.motion, estimate.nearest
     z = np.mean([one.noise for one in surfaces], axis=0)
@@ -95,21 +104,20 @@ def noise(estimate: StepEstimate) -> Float:
 
 
 def removed_by_prior(estimate: StepEstimate) -> Float:
-    """Waves that the prior removes: sum of 1/S / (F^2 A + 1/S)^2 over the modes, for the part of S that is
-    waves.
+    """Variance of suppressed waves: sum of 1/S / (F^2 A + 1/S)^2 over the modes, times the fraction of waves.
 
     All cameras miss the same waves, so averaging over cameras does not reduce it. It is divided among u, v, w
-    in the proportions of wave motion.
+    as their variances in deep-water waves are.
     """
     z = np.mean([one.missing for one in estimate.nearest], axis=0)
     return np.concatenate([z[None], estimate.motion.missing])
 
 
 def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int, times: Float) -> Float:
-    """Waves that turn too fast for the frame rate: sum S |1 - K(omega dt)|^2, times (omega dt)^2 for
-    velocities.
+    """Variance of waves that the frames do not follow: sum S |1 - K(p)|^2, for velocities times p^2.
 
-    z comes from 6, 4, 3 or 2 frames, velocities from paths through 6, 4 or 2.
+    p = omega dt is the phase of a wave per frame, and K the gain of interpolating z between 6, 4, 3 or 2
+    frames, or velocities between 6, 4 or 2.
     """
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     for count in np.unique(estimate.mid_time.frames).tolist():
@@ -123,11 +131,11 @@ def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int
 
 
 def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> float:
-    """Variance of z, m^2, from waves that start or stop within the six frames.
+    """Variance of z, m^2, due to waves that start or stop within the six frames.
 
-    They show as a difference between z from six and from four frames. Noise and stationary waves explain
-    noise sum (w6 - w4)^2 + sum S |K6 - K4|^2 of its square; beyond four times that, four times the excess is
-    added.
+    They make z from six frames differ from z from four. The expected square of this difference, from noise
+    and stationary waves, is noise sum (w6 - w4)^2 + sum S |K6 - K4|^2, with the weights w and gains K. If the
+    square exceeds CHANGE_DETECTED^2 times the expected one, CHANGE_RATIO^2 times the excess is returned.
     """
     six, four = (frame_weights(times, FRAMES_OF_Z[n])[0] for n in (6, 4))
     apart = np.exp(1j * np.outer(waves.phase, times)) @ (six - four)
@@ -137,16 +145,20 @@ def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> flo
 
 
 def lost_by_elevation(waves: WaveRings, frames: int, times: Float = EVEN_TIMES) -> float:
-    """Variance of z, m^2, lost by interpolation with weights w at times t: sum S |1 - sum w e^(ipt)|^2."""
+    """Variance of z, m^2, lost by interpolation between frames: sum S |1 - sum w_t exp(i p t)|^2.
+
+    S is the variance of a wave, p its phase per frame, and w_t the weight of the frame at time t.
+    """
     weights, _ = frame_weights(times, FRAMES_OF_Z[frames])
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1.0 - seen)))
 
 
 def lost_by_paths(waves: WaveRings, path_frames: int, times: Float = EVEN_TIMES) -> float:
-    """Variance of the rise per step, m^2, that paths through the frames miss, plus that of `orbits`.
-    The sum over waves of S |i p - sum_t w_t exp(i p t)|^2, with S the variance of a wave, p its phase per
-    frame, w_t the weight of the frame at time t (in frames).
+    """Variance of the rise per step, m^2, lost by differentiating between frames, plus that of `orbits`.
+
+    It is sum S |i p - sum w_t exp(i p t)|^2, with S the variance of a wave, p its phase per frame, and w_t
+    the weight of the frame at time t, in frames.
     """
     _, weights = frame_weights(times, FRAMES_OF_Z[frames_of_path(path_frames)], path_frames == 6)
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
@@ -154,11 +166,12 @@ def lost_by_paths(waves: WaveRings, path_frames: int, times: Float = EVEN_TIMES)
 
 
 def orbits(waves: WaveRings, path_frames: int) -> float:
-    """Variance of the rise per step, m^2, that paths lose where the orbits of waves i carry short waves j.
+    """Variance of the rise per step, m^2, lost because the orbits of waves i carry short waves j.
 
-    A particle displaced by xi meets u + xi u', which turns with the sum or difference of both phases p; the
-    frames miss a part D = 1 - Q(p_i) of xi. With K the gain of paths and Q that of places: c sum S_i S_j (k_j
-    p_j)^2 ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) - K(p_i + p_j) - D)^2).
+    A particle displaced by xi in its orbit has the velocity u + xi u', whose phase turns by the sum or
+    difference of both phases p per frame. K is the gain of path velocities and Q that of path positions; the
+    frames miss the part D = 1 - Q(p_i) of xi. The variance is c sum S_i S_j (k_j p_j)^2
+    ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) - K(p_i + p_j) - D)^2), with c = CORRELATION_OF_DIRECTIONS.
     """
     p, gain = waves.phase, path_gain(waves.phase, path_frames)
     of_sum, of_difference = (path_gain(p[:, None] + one, path_frames) for one in (p, -p))
@@ -169,7 +182,10 @@ def orbits(waves: WaveRings, path_frames: int) -> float:
 
 
 def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRings:
-    """Waves of the learned spectrum of z that exceed the noise: variance S k dk / (2 pi) of each ring."""
+    """Waves in the learned spectrum of z that stand out from the noise; S k dk / (2 pi) is a ring's variance.
+
+    pixel is that of the rectified images, metres; frame_rate is in Hz.
+    """
     k = np.array(elevation.k)
     detected = np.array(elevation.detected or [[True] * len(k)]).all(axis=0)
     power = elevation.wave_fraction * np.mean(elevation.power, axis=(0, 1)) * detected
@@ -179,8 +195,9 @@ def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRin
 
 
 def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float, float]:
-    """Fraction of the variance of the rise that is aliased, and the longest aliased wave, metres.
-    A wave is aliased if it turns by more than half a turn from frame to frame.
+    """Fraction of the variance of the rise that is aliased, and the wavelength of the longest such wave, m.
+
+    A wave is aliased if its phase turns by more than pi from frame to frame.
     """
     waves = detected_waves(elevation, pixel, frame_rate)
     rise = waves.variance * np.square(waves.phase)
@@ -191,7 +208,10 @@ def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float
 
 
 def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
-    """The `path_frames` with the smallest error, for the noise variance of dx, dy, dz together, m^2."""
+    """The kind of paths, `path_frames`, with the smallest error of the velocity.
+
+    noise_variance is that of dx, dy and dz together, m^2.
+    """
 
     def error(code: int) -> float:
         half = PATH_WEIGHTS[code]
@@ -203,10 +223,11 @@ def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
 
 
 def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
-    """Variances (4,) of waves shorter than blocks, from the std of their rise per frame and a wavelength.
+    """Variances (4,) of z, dx, dy, dz, m^2, due to ripples.
 
-    Waves of variance a^2 and phase p per frame rise by a variance of 2 a^2 (1 - cos p) per frame, or 2 a^2
-    where they turn by more than a quarter, at a rate of variance (a p)^2.
+    `learned` is the standard deviation of their rise per frame, and their wavelength, metres. Ripples with
+    variance a^2 of z and phase p per frame have a rise per frame of variance 2 a^2 (1 - cos p), with p
+    limited to pi/2, and a velocity of variance (a p)^2 per frame.
     """
     rise, wavelength = learned
     if not rise:
@@ -217,13 +238,13 @@ def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
 
 
 def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
-    """Calibration error of z, thickness of a light sheet, and uncertainty of the tilt of beads.
+    """Variance due to the calibration error of z, the thickness of a light sheet, and the tilt of beads.
 
-    The calibration error along the sight lines is taken to equal the smooth error across them.
+    The calibration error along the sight lines is assumed to equal the smooth epipolar error.
     """
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     out[0] = np.mean([one.epipolar**2 for one in estimate.nearest])
-    if geometry.settings.sheet_thickness is not None:  # its light is as wide as four standard deviations
+    if geometry.settings.sheet_thickness is not None:  # four standard deviations of the light
         out[0] = (0.25 * geometry.settings.sheet_thickness) ** 2
     tilt = bead_tilt(estimate.mid_time.rise, geometry.grid.step, geometry.settings.bead_height)
     out[1:3] = np.square(RELATIVE_HEIGHT_STD * tilt)
@@ -231,8 +252,10 @@ def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
 
 
 def bead_tilt(rise: Float, step: float, height: float) -> Float:
-    """Additional motion of tall beads per step along x and y, (2, ny, nx), from the rise (ny, nx), metres.
-    A point at height h along the normal moves by -h d(grad z)/dt more than the water.
+    """Motion of beads relative to the water as the surface tilts, along x and y per step, (2, ny, nx), m.
+
+    A point at `height` h above the surface, along its normal, moves by -h d(grad z)/dt more than the water.
+    rise (ny, nx) and the grid step are in metres.
     """
     along_y, along_x = np.gradient(rise, step)
     return np.nan_to_num(-height * np.stack([along_x, along_y]))
@@ -242,7 +265,7 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
     """Standard uncertainty of z = 0, metres, common to all nodes and times; NaN without a learned record."""
     levelled = geometry.rig.provenance.get("levelled")
     if geometry.settings.sheet_thickness is not None:
-        return 0.0  # that of z contains it
+        return 0.0  # `stated_by_setup` contains it
     if isinstance(levelled, Mapping) and "camera_height_std_m" in levelled:
         return float(levelled["camera_height_std_m"])
     if isinstance(levelled, Mapping) and "rms_m" in levelled:
@@ -253,22 +276,23 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
         return float("nan")
     x, y = float(np.mean(geometry.grid.x)), float(np.mean(geometry.grid.y))
     widths = [width * pixel_at(geometry.rig[name], x, y) for name, width in record.beads]
-    # z is too high by the height of the beads unless the rig was levelled on still water, which includes it
+    # z is too high by the height of the beads, unless the rig was levelled on still water with such beads
     return HEIGHT_PER_WIDTH * min(widths)
 
 
-# Ripples shorter than a block move single beads, in all cameras alike: what the residual displacements of
-# blocks of two cameras share gives their height, once for a record.
+# Ripples shorter than a block move single beads, and all cameras see this. The covariance between the
+# residual displacements of two cameras therefore gives the height of the ripples, once for a record.
 
 
 def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry) -> tuple[float, float]:
-    """Variance of the rise per frame, m^2, that the blocks of two cameras share, and that of single blocks.
+    """Variance of the rise per frame, m^2: shared by the blocks of two cameras, and of the blocks of one.
 
-    Ripples whose rise has the variance c move the blocks of cameras a and b by displacements of covariance
-    J_a diag(1/2, 1/2, 1) J_b^T c, on the surface z (ny, nx). Both variances are fitted to the blocks' scores,
-    each over the square root of its Hessian's trace, so that all have the same noise. Of several pairs of
-    cameras the one counts that shares least: cameras side by side share changes of light as well. The shared
-    variance may be negative by chance; both are 0 if no two cameras measured enough blocks.
+    Ripples whose rise has the variance c displace the blocks of cameras a and b with the covariance
+    J_a diag(1/2, 1/2, 1) J_b^T c, where J are the Jacobians on the surface z (ny, nx), metres. c is fitted to
+    the scores of two cameras (shared) and of the same camera (total). Each score is divided by the square
+    root of its Hessian's trace, so that all have the same noise. The pair of cameras that shares the smallest
+    fraction counts, because neighbouring cameras share changes of light as well. The shared variance may be
+    negative by chance; both are 0 if no two cameras measured enough blocks.
     """
     scores, waves = {}, {}
     for name, one in found.items():
@@ -295,14 +319,14 @@ def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeo
 
 
 def ripple_rise(shared: float, total: float) -> float:
-    """Standard deviation of the rise of ripples per frame, metres; 0 without. Arguments: `shared_motion`."""
+    """Standard deviation of the rise of ripples per frame, metres, of `shared_motion`; 0 without ripples."""
     return float(np.sqrt(shared / SEEN_BY_BLOCKS)) if shared > MIN_SHARED * total else 0.0
 
 
 def blocks_at(
     lattice: BlockLattice, x: Float, y: Float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-    """Column and row of the blocks nearest to places x, y (n,), px, and whether places are on the lattice."""
+    """Column and row of the blocks nearest to x, y (n,), px, and whether these lie on the lattice."""
     ny, nx = lattice.shape
     column, row = (np.rint((v - v0) / lattice.step) for v, v0 in ((x, lattice.x0), (y, lattice.y0)))
     inside = (column >= 0) & (column < nx) & (row >= 0) & (row < ny)
@@ -310,7 +334,8 @@ def blocks_at(
 
 
 def covariance(A: Float, B: Float) -> Float:
-    """Covariance (2, 2, n) of two scores, for waves with unit variance of the rise.
+    """Covariance (2, 2, n) of the scores of two cameras, for ripples whose rise has unit variance.
+
     A and B (2, 3, n) are the derivatives of the scores with respect to the motion of the water.
     """
     return np.asarray(np.einsum("ikn,k,jkn->ijn", A, WAVE_VARIANCES, B))

@@ -1,4 +1,8 @@
-"""Rig, grid and settings as the measurement uses them: cameras, lattices, maps, sight lines, outlines."""
+"""`GridGeometry`: everything that follows from rig, grid and settings alone, computed once for all frames.
+
+For every camera, `Sight` gives the image position of the nodes at any elevation, and `RectifiedView` the maps
+that rectify its images to the plane z = 0 (`RectifiedPlane`), in apparent positions of the reference.
+"""
 
 from __future__ import annotations
 
@@ -26,14 +30,16 @@ from wavefield.rig.rig import pairs_of
 
 Float = NDArray[np.floating]
 
-# Projection is a ratio of linear functions of z with |z| well below the distance: order 4 is exact to better
-# than a thousandth of a pixel.
+# Order of the polynomials in z. Image positions are ratios of linear functions of z, and |z| is small
+# compared with the distance, so order 4 is exact to better than a thousandth of a pixel.
 _ORDER = 4
 
 
 class Sight:
-    """One camera's view of the nodes, as polynomials in z, and the block lattice of its image, px.
-    `binning`: side, px, of the squares of raw pixels that are averaged; `camera` is that of the binned image.
+    """Image positions and Jacobians of the nodes in one camera, as polynomials in z.
+
+    Attributes: binning, side in px of the squares of raw pixels that are averaged; camera, the camera of the
+    binned image; lattice, the blocks of the binned image, px.
     """
 
     def __init__(
@@ -56,13 +62,15 @@ class Sight:
         self._polynomial = np.einsum("pk,kfyx->fpyx", inverse, np.array(values)).astype(np.float32)
 
     def at(self, z: Float, every: int = 1) -> NDArray[np.float32]:
-        """Image position and Jacobian of every n-th node along x and y at heights z, metres: (8, ny, nx).
-        X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz, dY/dx, dY/dy, dY/dz (px per metre).
+        """Image position and Jacobian (8, ny, nx) of every n-th node along x and y, at elevations z, metres.
+
+        The eight planes are X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz, dY/dx, dY/dy, dY/dz
+        (px per metre).
         """
         return self._evaluate(z, self._polynomial[..., ::every, ::every])
 
     def position(self, z: Float) -> NDArray[np.float32]:
-        """Image position X, Y of the nodes at heights z (ny, nx), metres: (2, ny, nx), px."""
+        """Image position X, Y of the nodes at elevations z (ny, nx), metres: (2, ny, nx), px."""
         return self._evaluate(z, self._polynomial[:2])
 
     def _evaluate(self, z: Float, polynomial: Float) -> NDArray[np.float32]:
@@ -74,59 +82,61 @@ class Sight:
         return out
 
     def sees(self, X: Float, Y: Float) -> NDArray[np.bool_]:
-        """Whether positions are inside the binned image."""
+        """Whether the positions X, Y, px, lie inside the binned image."""
         w, h = self.camera.size
         with np.errstate(invalid="ignore"):
             return (X >= 0) & (X <= w - 1) & (Y >= 0) & (Y <= h - 1)
 
 
-_MIN_NODES = 3  # along each side of the grid
+_MIN_NODES = 3  # along each side of the grid: slopes need three
 _MIN_BLOCKS = 8  # along each side of the common view
-_MARGIN_BLOCKS = 4  # around the nodes: the windows of the outermost blocks need their surroundings
-_LENS_BLUR_PX = 0.6  # of a usual lens
+_MARGIN_BLOCKS = 4  # around the nodes, for the windows of the outermost blocks
+_LENS_BLUR_PX = 0.6  # standard deviation of the blur of a usual lens
 
 
 @dataclass(frozen=True)
 class RectifiedPlane:
-    """Pixels of the rectified images on z = 0, in apparent coordinates of the reference."""
+    """Pixels of the rectified images on z = 0, in apparent positions of the reference."""
 
     origin: tuple[float, float]  # x, y of the first pixel, metres
-    pixel: float  # metres
-    shape: tuple[int, int]  # blocks (ny, nx)
+    pixel: float  # side of a pixel, metres
+    shape: tuple[int, int]  # number of blocks (ny, nx)
 
     @property
     def lattice(self) -> BlockLattice:
-        """Centres of the blocks, metres."""
+        """Lattice of the centres of the blocks, metres."""
         x, y = (first + 0.5 * (BLOCK - 1) * self.pixel for first in self.origin)
         return BlockLattice(x, y, BLOCK * self.pixel, self.shape)
 
     @property
     def x(self) -> Float:
-        """Pixels along x, metres."""
+        """Pixel centres along x, (5 nx,), metres."""
         return np.asarray(self.origin[0] + self.pixel * np.arange(self.shape[1] * BLOCK))
 
     @property
     def y(self) -> Float:
-        """Pixels along y, metres."""
+        """Pixel centres along y, (5 ny,), metres."""
         return np.asarray(self.origin[1] + self.pixel * np.arange(self.shape[0] * BLOCK))
 
 
 @dataclass(frozen=True)
 class RectifiedView:
-    """Where and how one camera sees the rectified plane z = 0."""
+    """How one camera sees the rectified plane z = 0."""
 
-    maps: tuple[Float, Float]  # (row, column): places in the camera's image (`sight_map`)
-    visible: NDArray[np.bool_]  # (row, column): where the camera sees the plane
+    maps: tuple[Float, Float]  # (row, column): position of each rectified pixel in the image (`sight_map`)
+    visible: NDArray[np.bool_]  # (row, column): True where the camera sees the plane
     visible_blocks: NDArray[np.float32]  # (ny, nx): visible fraction of every block
-    mask: Mask  # the same, ready for matching
-    blur: tuple[float, float]  # of the rectified image along x and y that makes beads alike, px
+    mask: Mask  # `visible`, prepared for matching
+    blur: tuple[float, float]  # std along x and y of the blur that makes beads alike in all cameras, px
 
 
 def fit_plane(
     cameras: Sequence[Camera], x: Float, y: Float, z_range: tuple[float, float], pixel: float
 ) -> RectifiedPlane:
-    """The rectified plane: the smallest rectangle with the apparent positions of all nodes x, y (ny, nx) at
-    all heights, in the reference, which comes first, and in at least one partner.
+    """Rectified plane: the smallest rectangle that contains the apparent positions of nodes x, y (ny, nx).
+
+    It contains them at all elevations, for the reference, which is the first camera, and at least one
+    partner. It is limited to the view of two cameras.
     """
     if min(x.shape) < _MIN_NODES:
         raise RigError(
@@ -143,7 +153,7 @@ def fit_plane(
         lo = np.fmin(lo, np.fmin.reduce(np.fmin(reference, least), axis=1))
         hi = np.fmax(hi, np.fmax.reduce(np.fmax(reference, most), axis=1))
     views = [_reach(one, np.stack([edge_x, edge_y], axis=-1)) for one in cameras]
-    # beyond what the second widest of the views reaches, no two cameras see anything
+    # beyond the second widest of the views, no two cameras see the plane
     lo = np.maximum(lo, np.sort([view.min(axis=0) for view in views], axis=0)[1])
     hi = np.minimum(hi, np.sort([view.max(axis=0) for view in views], axis=0)[-2])
     if not (hi > lo).all():
@@ -162,8 +172,9 @@ def fit_plane(
 
 
 def _reach(camera: Camera, edge: Float) -> Float:
-    """Points that bound the part of the plane in view of a camera, (n, 2), metres.
-    If the horizon is in view, visible edge nodes (m, 2) are added.
+    """Points (n, 2), metres, that bound the part of the plane z = 0 which a camera sees.
+
+    If the horizon is in view, the visible ones of the grid's edge nodes (m, 2) are added.
     """
     view = view_on_water(camera)
     if np.isfinite(camera.corners()).all():
@@ -174,7 +185,7 @@ def _reach(camera: Camera, edge: Float) -> Float:
 def rectified_views(
     sights: Mapping[str, Sight], plane: RectifiedPlane, middle: tuple[float, float], stereo: MatchSettings
 ) -> dict[str, RectifiedView]:
-    """Maps, masks and blur of every camera, and the middle of the grid, metres."""
+    """Rectified view of every camera; `middle` is that of the grid, metres."""
     blur = _blur(sights, plane.pixel, middle)
     out = {}
     for name, sight in sights.items():
@@ -189,15 +200,16 @@ def rectified_views(
 def _blur(
     sights: Mapping[str, Sight], pixel: float, middle: tuple[float, float]
 ) -> dict[str, tuple[float, float]]:
-    """Blur along x and y, px, that makes beads equally wide in all rectified images.
-    An oblique camera sees beads stretched along its view, which would bias the surface.
+    """Standard deviations along x and y, px, of the blur that makes beads equally wide in all cameras.
+
+    In rectified images of an oblique camera, beads are stretched along its view, which would bias z.
     """
     variances = {}
     for name, sight in sights.items():
         side = np.linalg.inv(sight.camera.jacobian(*middle, 0.0)[:, :2]) / pixel
-        # variances in px: the lens, the pixel, the spline by which the image is read
+        # variances, px^2: of the lens, of the pixel, and of the spline that samples the image
         sensor = (_LENS_BLUR_PX / sight.binning) ** 2 + 1.0 / 12.0 + 6.0 / 12.0
-        sensor += 0.25 * (sight.binning > 1)  # half a side: what goes before `bin_pixels`
+        sensor += 0.25 * (sight.binning > 1)  # the Gaussian of `bin_pixels`, half a binned pixel wide
         variances[name] = sensor * np.sum(side**2, axis=1)
     widest = np.max(list(variances.values()), axis=0)
     blur = {name: np.sqrt(widest - own) for name, own in variances.items()}
@@ -211,11 +223,11 @@ Pixels = NDArray[np.bool_]
 class Covered:
     """Mask of one image, prepared for matching."""
 
-    raw: Mask  # Of the binned image, for matching in time
-    flat: Mask | None  # Of the rectified image; None for a camera that does not measure the surface
+    raw: Mask  # of the binned image, for matching in time
+    flat: Mask | None  # of the rectified image; None for a camera that does not measure z
 
     def at(self, X: NDArray[Any], Y: NDArray[Any]) -> Pixels:
-        """Whether the blocks around given positions contain masked pixels."""
+        """Whether the blocks around positions X, Y, px, contain masked pixels."""
         whole = self.raw.levels[0]
         h, w = whole.shape
         with np.errstate(invalid="ignore"):
@@ -228,38 +240,38 @@ class Covered:
 Pair = tuple[str, str]
 Outlines = tuple[tuple[tuple[float, float], ...], ...]
 
-_Z_RANGE = 0.02  # of the reference camera's distance: elevations searched up and down by default
-_SPARE_PX = 2.0  # beyond the parallax of the elevations searched
+_Z_RANGE = 0.02  # default range of elevations, up and down, over the distance of the reference
+_SPARE_PX = 2.0  # margin of the search range for displacements, around the parallax of these elevations
 
 
 class GridGeometry:
-    """A rig above a grid, and what follows from them and the settings alone.
+    """A rig above a grid, and all that follows from rig, grid and settings alone.
 
     Parameters
     ----------
     rig : Rig
         The cameras.
     grid : Grid
-        Nodes of all results.
+        The nodes of all results.
     settings : Settings, optional
-        The choices; defaults follow from the rig.
+        Settings of the measurement. Default: `Settings()`.
     covered : tuple of ((x, y), ...)
-        Outlines of objects in the water, metres.
+        Outlines of objects in the water, metres, inside which nodes are masked.
 
     Attributes
     ----------
     pairs : tuple of (str, str)
-        Pairs for z, the reference first.
+        Pairs of cameras that measure z; the first of each is the reference.
     velocity_cameras : tuple of str
         Cameras whose displacements give u, v, w.
     z_range : (float, float)
-        Elevations searched, metres.
+        Lowest and highest elevation that is searched, metres.
     plane : RectifiedPlane
-        Pixels of the rectified images, in apparent coordinates of the reference.
+        Pixels of the rectified images, in apparent positions of the reference.
     views : dict of str to RectifiedView
-        Maps and masks of the cameras that measure z.
+        Maps and masks of every camera that measures z.
     sights : dict of str to Sight
-        Where each measuring camera sees the nodes, and its binning.
+        Image positions of the nodes in every measuring camera.
 
     Raises
     ------
@@ -270,7 +282,7 @@ class GridGeometry:
 
     Notes
     -----
-    Pickles as its parameters; the copy is computed anew, once per process.
+    Pickling stores the parameters alone; a process that loads the pickle computes the rest, once.
     """
 
     def __init__(
@@ -292,7 +304,7 @@ class GridGeometry:
         self._check_view()
         coarsest = max(pixel_at(rig[name], *self.middle) for name in self.cameras)
         self.sights = {}
-        for name in self.cameras:  # binned so that all cameras see beads alike
+        for name in self.cameras:  # bin the images of finer cameras to about the coarsest pixel on the water
             binning = max(1, round(coarsest / pixel_at(rig[name], *self.middle)))
             self.sights[name] = Sight(rig[name], binning, self.x, self.y, self.z_range)
         cameras = [rig[name] for name in self.surface_cameras]
@@ -304,14 +316,14 @@ class GridGeometry:
         )
         if not any((self.views[a].visible & self.views[b].visible).any() for a, b in self.pairs):
             raise RigError("no pair of cameras sees the grid in common: does the grid lie in their view?")
-        self.prepared_masks: dict[str, tuple[Pixels, Covered]] = {}  # the last of each camera
+        self.prepared_masks: dict[str, tuple[Pixels, Covered]] = {}  # the last mask of each camera
 
     def __reduce__(self) -> tuple[object, ...]:
         return _cached, (tuple(self.rig.cameras.items()), self.grid, self.settings, self.covered)
 
     @property
     def reference(self) -> str:
-        """Camera in whose apparent coordinates the lattice is defined."""
+        """Camera that belongs to all pairs; the lattice is defined in its apparent positions."""
         return self.pairs[0][0]
 
     @property
@@ -331,27 +343,27 @@ class GridGeometry:
 
     @property
     def pixel(self) -> float:
-        """Pixel of the rectified images, metres."""
+        """Side of a pixel of the rectified images, metres."""
         return self.plane.pixel
 
     @property
     def lattice(self) -> BlockLattice:
-        """Blocks of the rectified images, metres, in apparent coordinates of the reference."""
+        """Lattice of the blocks of the rectified images, metres, in apparent positions of the reference."""
         return self.plane.lattice
 
     @cached_property
     def x(self) -> Float:
-        """Nodes, (ny, nx), metres."""
+        """x of the nodes, (ny, nx), metres."""
         return np.asarray(np.meshgrid(self.grid.x_nodes, self.grid.y_nodes)[0])
 
     @cached_property
     def y(self) -> Float:
-        """Nodes, (ny, nx), metres."""
+        """y of the nodes, (ny, nx), metres."""
         return np.asarray(np.meshgrid(self.grid.x_nodes, self.grid.y_nodes)[1])
 
     @cached_property
     def covered_nodes(self) -> NDArray[np.bool_]:
-        """Nodes inside or on the outline of a mask on the water, (ny, nx)."""
+        """True for nodes inside or on an outline in `covered`, (ny, nx)."""
         out = np.zeros(self.x.shape, bool)
         for outline in self.covered:
             line = np.array(outline, np.float32)
@@ -362,7 +374,7 @@ class GridGeometry:
         return out
 
     def stereo_settings(self, pair: Pair) -> MatchSettings:
-        """Matching settings of a pair, its search range from the elevations searched."""
+        """Settings for matching a pair, with the search range that follows from `z_range`."""
         a, b = (self.rig[name] for name in pair)
         xa, ya = np.meshgrid(self.lattice.x[[0, -1]], self.lattice.y[[0, -1]])
         ends = []
@@ -379,7 +391,7 @@ class GridGeometry:
         return settings
 
     def pairs_for(self, present: Sequence[str]) -> tuple[Pair, ...]:
-        """Pairs among the cameras that have a frame; if the reference has none, pairs of the others."""
+        """Pairs of the cameras that are present; if the reference is not, pairs of the others."""
         planned = tuple(p for p in self.pairs if p[0] in present and p[1] in present)
         if planned:
             return planned
@@ -397,12 +409,16 @@ class GridGeometry:
             raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
 
     def _fitting_pixel(self) -> float:
-        """The cameras' own pixel, or down to half of it where blocks would exceed 0.8 grid steps."""
+        """Rectified pixel, metres: that of the coarsest camera, or less so that a block spans 0.8 grid steps.
+
+        It is reduced to half at most.
+        """
         own = max(pixel_sides(self.rig[name], *self.middle)[0] for name in self.surface_cameras)
         return max(own / 2.0, min(own, 0.8 * self.grid.step / BLOCK))
 
 
 def _with_reference_first(pairs: Sequence[Pair]) -> tuple[Pair, ...]:
+    """The pairs with their common camera first; an error if they have none."""
     common = set.intersection(*(set(pair) for pair in pairs))
     if not common or len({frozenset(p) for p in pairs}) < len(pairs):
         text = ", ".join(f"[{a}, {b}]" for a, b in pairs)

@@ -1,4 +1,4 @@
-"""Frames prepared for matching: background removed, brightness compressed, binned, rectified, masked."""
+"""Prepare frames for matching: remove the background, compress the brightness, bin, rectify, mask."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from wavefield.matching.prepared import Mask
 from wavefield.measurement.geometry import Covered, GridGeometry, Pixels
 from wavefield.measurement.rectify import bin_pixels, rectify, widen
 
-SURROUNDINGS_SIGMA_PX = 4.0
-BEAD_WIDTHS_PX = 1.5, 8.0  # at half their height
-NOISE_SIGMA_PX = 1.0  # of the blur that removes the noise of single pixels
-MIN_SKEWNESS = 0.3  # of the brightness: less is a texture
-MAX_SIZE_TO_WIDTH = 3.0  # of a bead
+SURROUNDINGS_SIGMA_PX = 4.0  # standard deviation of the Gaussian mean around a bead
+BEAD_WIDTHS_PX = 1.5, 8.0  # narrowest and widest bead, at half height
+NOISE_SIGMA_PX = 1.0  # standard deviation of the blur that removes the noise of single pixels
+MIN_SKEWNESS = 0.3  # least skewness of the brightness of beads; below, the image shows a texture
+MAX_SIZE_TO_WIDTH = 3.0  # objects wider than this many bead widths belong to the background
 
 
 def bead_width(image: NDArray[Any]) -> float:
     """Width at half height of the images of beads, px, from the autocorrelation of the image.
 
-    The local mean (sigma 4 px) is subtracted first. White noise affects only the correlation without shift,
-    so the width follows from shifts of 1 and 2 px: a Gaussian bead of standard deviation s gives exp(-r^2 / 4
-    s^2). Subtracting the mean also removes part of each bead: widths of 2 to 7 px come out a tenth to a third
-    too small. Beads make the brightness skewed, a texture does not: its width is 0.
+    The local mean (sigma 4 px) is subtracted first. White noise affects the correlation at zero shift only,
+    so the width is computed from shifts r of 1 and 2 px: for Gaussian beads of standard deviation s, the
+    correlation is exp(-r^2 / 4 s^2). Subtracting the mean also removes a part of each bead, so widths of 2 to
+    7 px come out a tenth to a third too small. A texture has the width 0; it is recognised by the skewness of
+    its brightness, which beads make large.
 
     Examples
     --------
@@ -40,15 +41,12 @@ def bead_width(image: NDArray[Any]) -> float:
     2.8
     """
     part = np.ascontiguousarray(image, np.float32)
-    # subtracting the surroundings removes part of a bead: hence the bias of the width
     around = cv2.GaussianBlur(part, (0, 0), SURROUNDINGS_SIGMA_PX)
-    # beads skew the distribution of brightness, a texture does not
     if _skewness(cv2.GaussianBlur(part, (0, 0), NOISE_SIGMA_PX) - around) < MIN_SKEWNESS:
         return 0.0
     part = part - around
     part = np.clip(part, *np.percentile(part[::4, ::4], (1, 99.5)))
     part -= part.mean()
-    # white noise adds to the correlation without shift alone: only shifts of 1 and 2 px are used
     one, two = (
         0.5 * float((part[:, k:] * part[:, :-k]).mean() + (part[k:] * part[:-k]).mean()) for k in (1, 2)
     )
@@ -59,6 +57,7 @@ def bead_width(image: NDArray[Any]) -> float:
 
 
 def _skewness(part: NDArray[Any]) -> float:
+    """Skewness of the brightness of every fourth pixel."""
     some = part[::2, ::2]
     some = some[np.isfinite(some)].astype(np.float64)
     if not some.size:
@@ -68,7 +67,7 @@ def _skewness(part: NDArray[Any]) -> float:
 
 
 def above_floor(image: NDArray[Any], width: float) -> NDArray[Any]:
-    """Brightness above everything as large as three beads: a white top-hat."""
+    """Image (h, w) minus everything larger than three bead widths (a white top-hat); width is in px."""
     if not width:
         return image
     side = int(np.ceil(MAX_SIZE_TO_WIDTH * width)) // 2 * 2 + 3
@@ -78,10 +77,10 @@ def above_floor(image: NDArray[Any], width: float) -> NDArray[Any]:
     return np.asarray(cv2.morphologyEx(np.ascontiguousarray(image), cv2.MORPH_TOPHAT, kernel))
 
 
-KNEE_TO_CONTRAST = 0.5  # above the background; below, the logarithm is nearly linear
-LEVEL_QUANTILES = 0.01, 0.5, 0.99
-BETWEEN_CAMERAS, IN_TIME = 1.5, 0.6  # `sharpened` for the surface and for displacements
-GREY_LEVELS_PER_E = 5000.0  # log(65535) still fits 16 bits
+KNEE_TO_CONTRAST = 0.5  # brightness, over the contrast, at which the compression becomes logarithmic
+LEVEL_QUANTILES = 0.01, 0.5, 0.99  # of the brightness: background, median, bright beads
+BETWEEN_CAMERAS, IN_TIME = 1.5, 0.6  # amounts for `sharpened` in matching between cameras, and in time
+GREY_LEVELS_PER_E = 5000.0  # grey levels per factor e of brightness: 65535 levels suffice for 16-bit images
 
 
 def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
@@ -97,8 +96,9 @@ def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
 def ready(
     image: NDArray[Any], count: int, width: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """A usable frame without background, with compressed brightness and binned pixels.
-    The width of its beads, px, is measured if None; masked pixels do not count.
+    """Remove the background of a usable frame, compress its brightness, and bin it by `count` pixels.
+
+    `width` is that of its beads, px, measured if None. Pixels `covered` (h, w) by a mask do not count.
     """
     if covered is not None:
         image = fill_masked(image, covered)
@@ -106,14 +106,16 @@ def ready(
     if width:
         image = above_floor(image, width)
         low, half, _ = _levels(image, covered)
-        # beads are brighter than the median: a black level above it suppresses grains of a floor and noise
+        # beads are much brighter than the median; a black level above it suppresses noise and grains of a
+        # floor
         return bin_pixels(even_out(image, half + (half - low), covered), count)
     return bin_pixels(even_out(image, covered=covered), count)
 
 
 def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
-    """An image with its short waves amplified, so that images of neighbouring beads overlap less.
-    Where beads overlap, brightness that differs between cameras biases the match.
+    """Sharpen an image, so that the images of neighbouring beads overlap less.
+
+    Where beads overlap, differences of brightness between cameras bias the match.
     """
     kernel = np.array([-amount, 1.0 + 2.0 * amount, -amount], np.float32)
     part = np.ascontiguousarray(image, np.float32)
@@ -123,8 +125,10 @@ def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
 def even_out(
     image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """Compressed brightness log(1 + (I - B) / (0.5 (I_99 - B))), with B the black level.
-    A bead that is bright in one camera only would bias the match. The logarithm turns factors into constants.
+    """Compress the brightness I to 5000 log(1 + (I - B) / (0.5 (I_99 - B))), with the black level B.
+
+    A bead that is bright in one camera only would bias the match; the logarithm turns factors of brightness
+    into constants. B is the 1 % quantile by default, I_99 the 99 % quantile.
     """
     low, _, high = _levels(image, covered)
     low = low if black is None else black
@@ -146,6 +150,7 @@ def even_out(
 
 @compiled()
 def _table_value(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None:
+    """Look up every pixel of a 16-bit image in a table."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             out[y, x] = table[image[y, x]]
@@ -157,7 +162,7 @@ def _levels(image: NDArray[Any], covered: NDArray[np.bool_] | None = None) -> tu
     if covered is not None:
         sample = sample[~covered[3::8, 3::8].ravel()]
     if image.dtype in (np.uint8, np.uint16):
-        counts = np.bincount(sample)  # many times faster than sorting
+        counts = np.bincount(sample)  # much faster than sorting
         grey = np.flatnonzero(counts)
         counts = counts[grey]
     else:
@@ -168,7 +173,7 @@ def _levels(image: NDArray[Any], covered: NDArray[np.bool_] | None = None) -> tu
         grey, counts = np.unique(sample, return_counts=True)
     if not sample.size:
         return 0.0, 0.0, 0.0
-    # between grey levels: whole ones, far apart where 8 bit are dark, would jump from frame to frame
+    # interpolate between grey levels: in dark 8-bit images, whole levels would jump from frame to frame
     rank = np.cumsum(counts) - 0.5 * counts
     low, half, high = np.interp(sample.size * np.array(LEVEL_QUANTILES), rank, grey)
     return float(low), float(half), float(high)
@@ -178,7 +183,7 @@ Masks = Mapping[str, Pixels | None]
 
 
 def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
-    """Masks of one instant, prepared for matching; constant masks are prepared once."""
+    """Masks of one instant, prepared for matching; a mask that did not change is not prepared again."""
     out = {}
     for name in geometry.cameras:
         pixels = masks.get(name)
@@ -193,6 +198,7 @@ def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
 
 
 def _ready(pixels: Pixels, name: str, geometry: GridGeometry) -> Covered:
+    """Prepare the mask of one camera for matching in time and between cameras."""
     w, h = geometry.sights[name].camera.size
     count = geometry.sights[name].binning
     good = np.where(pixels[: h * count, : w * count], np.uint8(0), np.uint8(255))
@@ -211,8 +217,9 @@ def masked_nodes(
     z: NDArray[Any],
     geometry: GridGeometry,
 ) -> Pixels:
-    """Nodes (ny, nx) masked on the water or in too many cameras, on the surface z, metres.
-    Too many: no pair for z, or fewer than two cameras for the velocity, remains.
+    """True for nodes (ny, nx) masked on the water or in too many cameras; z (ny, nx) is in metres.
+
+    A node is masked in too many cameras if no pair remains for z or fewer than two cameras for the velocity.
     """
     hidden = {}
     for name in {*covered[0], *covered[1]}:
@@ -243,16 +250,16 @@ Frames = Mapping[str, NDArray[Any] | None]
 class Images:
     """The usable frames of one instant, prepared for matching."""
 
-    flat: Mapping[str, matching.PreparedImage]  # Rectified, for the surface; none of a light sheet
-    raw: Mapping[str, matching.PreparedImage]  # For matching in time
-    missing: frozenset[str]  # Cameras without a usable frame
-    covered: Mapping[str, Covered]  # Masks
+    flat: Mapping[str, matching.PreparedImage]  # rectified, for z; empty for a light sheet
+    raw: Mapping[str, matching.PreparedImage]  # not rectified, for matching in time
+    missing: frozenset[str]  # cameras without a usable frame
+    covered: Mapping[str, Covered]  # masks
 
 
 def usable_frames(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks
 ) -> dict[str, NDArray[Any]]:
-    """Usable frames, without background, compressed and binned."""
+    """The usable frames after `ready`; `beads` are the widths of beads per camera, raw px."""
     out: dict[str, NDArray[Any]] = {}
     for name in geometry.cameras:
         image = frames.get(name)
@@ -264,7 +271,7 @@ def usable_frames(
 def rectified_images(
     ready_frames: Mapping[str, NDArray[Any]], geometry: GridGeometry, covered: Mapping[str, Covered]
 ) -> dict[str, matching.PreparedImage]:
-    """Rectified images for matching between cameras; none for a light sheet."""
+    """Rectified images for matching between cameras; empty for a light sheet."""
     if geometry.settings.sheet_thickness is not None:
         return {}
     return {
@@ -277,7 +284,7 @@ def rectified_images(
 def images_of(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks | None = None
 ) -> Images:
-    """Prepare the frames of one instant, given the widths of beads, raw px, and masks."""
+    """Prepare the frames of one instant for matching; masks are True on pixels to ignore."""
     masks = masks or {}
     covered = covered_in(masks, geometry)
     ready_frames = usable_frames(frames, geometry, beads, masks)
@@ -291,7 +298,7 @@ def with_raw_images(
     geometry: GridGeometry,
     covered: Mapping[str, Covered],
 ) -> Images:
-    """Add the images for matching in time to rectified images."""
+    """Add the images for matching in time to the rectified images."""
     raw = {
         name: matching.prepare(
             sharpened(ready_frames[name], IN_TIME),

@@ -1,4 +1,4 @@
-"""Elevation and rise of the surface half-way between two frames, from the six frames around."""
+"""Elevation and rise of the surface at mid-time, half-way between two frames, from the six frames around."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ class MidTime:
     """The surface at mid-time of a step."""
 
     z: Float  # (ny, nx): elevation, metres
-    rise: Float  # (ny, nx): rise per step of the surface at the water that is at the node at mid-time, metres
-    frames: NDArray[np.uint8]  # (ny, nx): number of frames that z comes from
-    measured: Mask  # (ny, nx): whether the nearest two measured the water that is at the node
-    # Mean square of z by six frames less that by four, by its median over the nodes, m^2; 0 without six
+    rise: Float  # (ny, nx): rise per step of the particle that is at the node at mid-time, metres
+    frames: NDArray[np.uint8]  # (ny, nx): number of frames that z comes from: 6, 4, 3 or 2
+    measured: Mask  # (ny, nx): whether both frames of the step were measured there
+    # variance over the nodes (robust) of z from six frames minus z from four, m^2; 0 without six frames
     departure: float = 0.0
 
 
 @dataclass(frozen=True)
 class StepEstimate:
-    """Elevation and motion of one step, from the cameras that are consistent."""
+    """Elevation and motion of one step, without cameras that contradict the others."""
 
-    surfaces: Surfaces  # of six frames
+    surfaces: Surfaces  # of the six frames around the step
     motion: Motion
     mid_time: MidTime
     left_out: frozenset[str] = frozenset()  # cameras that contradict the others
@@ -57,15 +57,18 @@ def z_at_mid_time(
     times: Float = EVEN_TIMES,
     late: Float | None = None,
 ) -> tuple[tuple[Float, ...], NDArray[np.uint8], Mask]:
-    """Elevations at mid-time at nodes x, y (ny, nx), metres: by all frames, by fewer, by the nearest two.
-    Also the number of frames that have measured a node, and where the nearest two have; elsewhere all are
-    filled alike, and z stays smooth. The flow is the displacement of the water in the step, metres; times of
-    frames, and by how much later than at these each node is seen (late, ny, nx), are in intervals.
+    """Elevations at mid-time at nodes x, y (ny, nx), metres; number of frames; where both frames measured.
+
+    The first result holds up to four elevations (ny, nx): from all frames, then from fewer, last from the
+    nearest two. The second is the number of frames that the first elevation comes from, (ny, nx). The third
+    is True where both frames of the step measured the node; elsewhere all frames are used, so that filled
+    nodes stay smooth. `flow` is the mean displacement (dx, dy) of the water in the step, metres. `times` (6,)
+    of the frames, and the delay `late` (ny, nx) at which a node is seen, are in intervals from mid-time.
     """
-    # a current carries short waves past a node faster than frames follow: in water that moves with it (U, the
-    # median displacement) their phase turns no faster than on still water; with z_n = z(x + t_n U), t_n =
-    # -5/2 ... 5/2, z = (150 (z_0 + z_1) - 25 (z_-1 + z_2) + 3 (z_-2 + z_3)) / 256, and lower degrees where
-    # frames are missing; beads repeat their errors in all frames, so these do not average out
+    # Interpolate in a frame of reference that moves with the mean flow U: a current would carry short waves
+    # past a node faster than the frames follow. With z_n = z(x + t_n U) at t_n = -5/2 ... 5/2,
+    # z = (150 (z_0 + z_1) - 25 (z_-1 + z_2) + 3 (z_-2 + z_3)) / 256, or a polynomial of lower degree where
+    # frames are missing.
     count = frames_used(surfaces)
     numbers = [n for n in (6, 4, 3, 2) if n == count or (n < count and n != 3)]
     used = [FRAMES_OF_Z[n] if surfaces[4] is not None else reversed_in_time(FRAMES_OF_Z[n]) for n in numbers]
@@ -81,7 +84,7 @@ def z_at_mid_time(
         measured[n] = surface.is_measured(*place, z)
 
     def by(some: Sequence[int]) -> Float:
-        """Polynomial through some of the frames at mid-time."""
+        """Elevation at mid-time by the polynomial through some of the frames."""
         weights = frame_weights(times, some, at=at)[0].astype(np.float32)
         total = np.zeros(x.shape, np.float32)
         for n in some:
@@ -92,7 +95,7 @@ def z_at_mid_time(
     nearest = measured[AROUND] & measured[AROUND + 1]
     fewer, frames = orders[-1], np.full(x.shape, numbers[-1], np.uint8)
     out = [fewer]
-    if numbers[0] >= 4:  # at the edge of the view a current leaves one of the neighbours
+    if numbers[0] >= 4:  # at the edge of the view, a current carries the water out of one of the neighbours
         before, after = (nearest & measured[n] & ~measured[5 - n] for n in (1, 4))
         if before.any() or after.any():
             earlier, later = by(reversed_in_time(FRAMES_OF_Z[3])), by(FRAMES_OF_Z[3])
@@ -108,19 +111,21 @@ def z_at_mid_time(
 
 
 def reversed_in_time(frames: Sequence[int]) -> tuple[int, ...]:
-    """The frames as far on the other side of mid-time."""
+    """The frames mirrored about mid-time."""
     return tuple(5 - n for n in reversed(frames))
 
 
 def rise_of_water(
     first: Surface, second: Surface, motion: Motion, flow: tuple[float, float], x: Float, y: Float
 ) -> Float:
-    """Rise per step, metres, of the surface that moves with the water at nodes x, y (ny, nx) at mid-time.
-    z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z: c displacement over the step, b bend, d at mid-time.
+    """Rise per step, (ny, nx), metres, of the particles that are at nodes x, y (ny, nx) at mid-time.
+
+    It is z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z, with the chord c, the bend b (`Motion`), and the
+    displacement per step d at mid-time.
     """
     measured = np.isfinite(motion.chord).all(axis=0)
     parts = *motion.chord[:2], *motion.bend[:2], motion.d[2] - motion.chord[2]
-    # without a measured motion it is that of the mean flow
+    # where the motion was not measured, use the mean flow
     elsewhere = *flow, 0.0, 0.0, 0.0
     cx, cy, bx, by, excess = (np.where(measured, part, mean) for part, mean in zip(parts, elsewhere))
     rise = second.read(x + 0.5 * cx + bx, y + 0.5 * cy + by)
@@ -129,7 +134,7 @@ def rise_of_water(
 
 
 def slope(z: Float, step: float, axis: int) -> Float:
-    """Slope along an axis, by the differences of `wavefield.waves.motion.slopes`."""
+    """Slope of z (ny, nx) along an axis, by the differences of `wavefield.waves.motion.slopes`."""
     out: Float = np.moveaxis(np.gradient(z, step, axis=axis, edge_order=2), axis, 0)
     rows = np.moveaxis(z, axis, 0)
     for reach, weights in ((2, (8, -1)), (3, (45, -9, 1))):
@@ -145,7 +150,7 @@ def slope(z: Float, step: float, axis: int) -> Float:
 
 
 def frames_used(surfaces: Surfaces) -> int:
-    """Number of frames that z at mid-time comes from: 6, 4, 3 or 2."""
+    """Largest number of frames that z at mid-time can come from: 6, 4, 3 or 2."""
     present = [one is not None for one in surfaces]
     if present[1] and present[4]:
         return 6 if present[0] and present[5] else 4

@@ -1,4 +1,4 @@
-"""The learned record, and the fields to estimate with it on the lattices of a geometry."""
+"""The learned record, the estimators that follow from it on the lattices of a geometry, and convergence."""
 
 from __future__ import annotations
 
@@ -25,24 +25,25 @@ Float = NDArray[Any]
 
 @dataclass(frozen=True)
 class LearnedRecord:
-    """Beads, spectra and noise of a record, from sample frames (`learn`).
+    """Beads, spectra and noise of a record, learned from sample frames (`learn`).
 
     Parameters
     ----------
     beads : tuple of (str, float)
-        Width of the beads' images per camera, raw px; 0 where a camera sees a texture.
+        Width of the beads in the images of every camera, raw px; 0 for a texture.
     elevation : Prior
-        Of z on the rectified lattice, metres.
+        Prior of z on the rectified lattice, metres.
     displacement : tuple of (str, Prior)
-        Of each velocity camera's displacement from frame to frame, px of the binned image.
+        Prior of the displacement from frame to frame of every velocity camera, px of the binned image.
     motion : tuple of (str, float)
-        Largest variance over the field of each camera's matched displacement in the sample steps, px^2.
+        Variance of the matched displacement of every velocity camera over the field, px^2: the largest among
+        the sample steps.
     path_frames : int
-        Of the paths of velocities and of the rate of rise, the kind with the smallest error: 4, 6 or 7
-        (`PATH_WEIGHTS`).
+        Kind of the paths from which velocities follow, with the smallest error: through 4 frames, through 6
+        with less noise (6), or through 6 exactly (7); see `path_weights`.
     ripples : (float, float)
-        Standard deviation of the rise from frame to frame by waves that blocks do not resolve, and their
-        wavelength, metres (`ripple_rise`); 0 without any.
+        Standard deviation of the rise per frame of waves shorter than blocks, 0 without any, and their
+        wavelength, metres (`ripple_rise`).
     """
 
     beads: tuple[tuple[str, float], ...]
@@ -53,12 +54,7 @@ class LearnedRecord:
     ripples: tuple[float, float] = (0.0, 0.0)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for a recipe.
-
-        Returns
-        -------
-        dict
-        """
+        """Plain data (dict of numbers, strings, lists) for the recipe of a cube."""
         return {
             "beads": dict(self.beads),
             "elevation": self.elevation.to_dict(),
@@ -72,19 +68,10 @@ class LearnedRecord:
     def from_dict(cls, data: Mapping[str, Any]) -> LearnedRecord:
         """Inverse of `to_dict`.
 
-        Parameters
-        ----------
-        data : mapping
-            As given by `to_dict`.
-
-        Returns
-        -------
-        LearnedRecord
-
         Raises
         ------
         ExperimentError
-            If it is that of another version of the measurement.
+            If an entry is missing, because another version of the measurement made it.
         """
         try:
             rise, wavelength = map(float, data["ripples"])
@@ -104,9 +91,10 @@ class LearnedRecord:
 
 
 class FieldModel:
-    """Estimator of a field with a prior spectrum; modes, variance and spline are computed on first use.
-    shape is that of the lattice of blocks; inner (ny, nx) are the blocks whose fit counts, by default all.
-    With whole beads the blocks' scores are those of `scores_at`.
+    """Estimator of a field with a given prior; its modes, variance and spline are computed on first use.
+
+    shape (ny, nx) is that of the lattice. Holes matter only in the blocks `inner` (ny, nx), by default in
+    all. With `whole_beads`, the scores of the blocks come from `scores_at`.
     """
 
     def __init__(
@@ -126,29 +114,29 @@ class FieldModel:
 
     @cached_property
     def spread(self) -> PosteriorVariance:
-        """Variance of the estimated field."""
+        """Posterior variance of the field."""
         with one_thread():
             return PosteriorVariance(self.prior, self._shape)
 
     @cached_property
     def _spline(self) -> Float:
-        """Gain from the field's cosines to those of its spline, (my, mx)."""
+        """Gain from the cosine coefficients of the field to those of its spline, (my, mx)."""
         my, mx = self.modes.shape
         return spline_prefilter(self._shape)[:my, :mx]
 
     def splined(self, waves: Float, rest: Float) -> Float:
-        """Spline coefficients (ny, nx, c) of a field: cosines (c, my, mx) and a rest (c, ny, nx)."""
+        """Spline coefficients (ny, nx, c) of cosines (c, my, mx) plus a field `rest` (c, ny, nx)."""
         out = np.moveaxis(self.modes.field(waves * self._spline), 0, -1) + local_coefficients(rest)
         return np.ascontiguousarray(out, np.float32)
 
 
 def elevation_model(geometry: GridGeometry, prior: Prior, beads: Mapping[str, float]) -> FieldModel:
-    """The elevation on the rectified lattice, metres, given the widths of the beads' images."""
+    """Estimator of the elevation on the rectified lattice, metres; `beads` are widths, 0 for a texture."""
     return FieldModel(prior, geometry.lattice.shape, _inner_blocks(geometry), all(beads.values()))
 
 
 def displacement_model(geometry: GridGeometry, camera: str, prior: Prior) -> FieldModel:
-    """The displacement of one camera, px of its binned image."""
+    """Estimator of the displacement of one camera, px of its binned image."""
     return FieldModel(prior, geometry.sights[camera].lattice.shape)
 
 
@@ -158,22 +146,22 @@ class Model:
     Parameters
     ----------
     geometry : GridGeometry
-        Its lattices.
+        Rig, grid and settings; defines the lattices.
     record : LearnedRecord
         Spectra, noise and beads from sample frames (`learn`).
 
     Attributes
     ----------
     record : LearnedRecord
-        As given.
+        The parameter `record`.
     elevation : FieldModel
-        Of z on the rectified lattice, metres.
+        Estimator of z on the rectified lattice, metres.
     displacement : dict of str to FieldModel
-        Of each velocity camera, px of its binned image.
+        Estimator of the displacement of every velocity camera, px of its binned image.
 
     Notes
     -----
-    Pickles as its parameters; the copy is computed anew, once per process.
+    Pickling stores the parameters alone; a process that loads the pickle computes the rest, once.
     """
 
     def __init__(self, geometry: GridGeometry, record: LearnedRecord) -> None:
@@ -188,7 +176,7 @@ class Model:
 
 
 def _inner_blocks(geometry: GridGeometry) -> NDArray[np.bool_]:
-    """(ny, nx): blocks well inside what the reference and a partner see of the water at rest."""
+    """Blocks (ny, nx) that the reference and a partner see, well inside the common view."""
     reference, *others = (geometry.views[name].visible_blocks for name in geometry.surface_cameras)
     both = np.minimum(reference, np.max(others, axis=0)) > 0.99
     return np.asarray(cv2.erode(both.view(np.uint8), np.ones((15, 15), np.uint8)) > 0)
@@ -199,19 +187,20 @@ def _cached(geometry: GridGeometry, record: LearnedRecord) -> Model:
     return Model(geometry, record)
 
 
-MIN_EVALUATIONS = 2  # of the images: where matching led, and where the first solution leads
-MAX_EVALUATIONS = 6  # where windows have left much of short steep waves and solutions still change
-# rms change of the displacement from one solution to the next, at which they have converged. With one limit
-# of 0.07 px for all, z of noisy images is 4 % worse: a third evaluation follows their noise.
+# The images are evaluated at the match, then at every solution of the MAP field, until solutions converge.
+MIN_EVALUATIONS = 2
+MAX_EVALUATIONS = 6  # needed by short steep waves, which the windows of matching damp
+# rms change of the displacement between solutions at which they have converged. A limit of 0.07 px instead
+# makes z from noisy images 4 % worse, because a third evaluation follows their noise.
 MAX_CHANGE_PX = 0.15
-MAX_RELATIVE_CHANGE = 0.05  # of the displacement's own rms: the same where there are short waves alone
-NEGLIGIBLE_CHANGE_PX = 0.05  # rms: always converged
-MAX_FIELD_PX = 1e4  # wider than images: no displacement, the images show too little of one
-OSCILLATION_RATIO = 0.7  # of the change before: solutions that change by more oscillate
+MAX_RELATIVE_CHANGE = 0.05  # the same relative to the rms of the displacement, for seas of short waves alone
+NEGLIGIBLE_CHANGE_PX = 0.05  # rms change at which solutions have converged whatever the relative change
+MAX_FIELD_PX = 1e4  # larger displacements exceed any image: the images contain too little information
+OSCILLATION_RATIO = 0.7  # solutions oscillate if a change exceeds this fraction of the change before
 
 
 class Convergence:
-    """Change of the solution between evaluations, and when to stop; `scale` is px per unit of the field."""
+    """Decides when the solutions of a MAP field have converged; `scale` is px per unit of the field."""
 
     def __init__(self, scale: float = 1.0) -> None:
         self._scale, self._evaluations, self._change = scale, 0, np.inf
@@ -219,15 +208,18 @@ class Convergence:
 
     @property
     def converged(self) -> bool:
-        """Whether no further evaluation is needed."""
+        """Whether no further evaluation of the images is needed."""
         return self._diverged or (self._evaluations >= MIN_EVALUATIONS and self._change <= self._allowed)
 
     def next(self, modes: Modes, waves: Float, solved: Float, seen: Float | None) -> tuple[Float, Float]:
-        """Coefficients to continue with, and the field that blocks see; averaged if solutions oscillate.
-        The previous ones are returned if the solution is not a plausible displacement.
+        """Coefficients (c, my, mx) to continue with, and their field averaged over the footprint.
+
+        `waves` is the previous solution with its field `seen` (None at first), `solved` the new one. The mean
+        of both is returned if solutions oscillate, the previous one if the new one is no plausible
+        displacement.
         """
         after = modes.seen(solved)
-        self._diverged = not self._scale * float(np.abs(after).max()) < MAX_FIELD_PX  # NaN is none either
+        self._diverged = not self._scale * float(np.abs(after).max()) < MAX_FIELD_PX  # true for NaN as well
         if self._diverged:
             return waves, modes.seen(waves)
         self._evaluations += 1

@@ -1,4 +1,4 @@
-"""Cameras and pairs that contradict each other: which to leave out, and which nodes not to trust."""
+"""Cameras that contradict each other: find the one to leave out, and the nodes where pairs disagree."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ from wavefield.measurement.pair import PairMatch
 Float = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
-MAX_MISFIT = 12.0  # chi^2 per degree of freedom, median over the nodes: more, and a camera is an outlier
-MAX_NODE_MISFIT = 36.0  # the same of a single node
-MAX_PAIR_DIFFERENCE_PX = 1.5  # of two pairs' parallax for one surface
-_PAIR_MEAN_BLOCKS = (5, 5)
-_SCORE_MEAN_BLOCKS = (9, 9)  # over so many the pairs' own noise is below a third of the following limit
-_MAX_SCORE_DIFFERENCE_PX = 0.75  # between the corrections of parallax by two pairs to one surface
-_MIN_RELATIVE_HESSIAN = 0.3  # of the mean: blocks with less determine no height
-_WINDOW_REACH = np.ones((5, 5), np.uint8)  # blocks affected by one
-MIN_NODES = 50  # for a median misfit
+MAX_MISFIT = 12.0  # largest median over the nodes of chi^2 per degree of freedom; above, cameras contradict
+MAX_NODE_MISFIT = 36.0  # the same for a single node
+MAX_PAIR_DIFFERENCE_PX = 1.5  # largest difference between the elevations of two pairs, as parallax
+_PAIR_MEAN_BLOCKS = (5, 5)  # blocks over which it is averaged
+_SCORE_MEAN_BLOCKS = (9, 9)  # blocks over which scores are averaged: noise is below a third of the next limit
+_MAX_SCORE_DIFFERENCE_PX = 0.75  # largest difference between two pairs' corrections, as parallax
+_MIN_RELATIVE_HESSIAN = 0.3  # over the mean: blocks with less do not determine an elevation
+_WINDOW_REACH = np.ones((5, 5), np.uint8)  # blocks that share the window of one block
+MIN_NODES = 50  # fewest nodes for a median
 
 
 def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
-    """The camera without which the others agree; None if there is none.
+    """Index of the only camera without which the others agree; None if there is none or more than one.
 
-    For three cameras on a line only one displacement is redundant: whichever is left out, the other two
-    agree, so the camera that moved along the line cannot be identified.
+    `misfit` is the median chi^2 per degree of freedom with all cameras, and `misfit_without(n)` that without
+    camera n. A camera that moved along a line of three cameras cannot be identified: whichever is left out,
+    the other two agree.
 
     Examples
     --------
@@ -46,14 +47,16 @@ def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int]
 
 
 def median_misfit(misfit: Float, measured: Mask) -> float:
-    """Median misfit (ny, nx) over the nodes measured by all cameras; 0 if there are few."""
+    """Median of the misfit (ny, nx) over nodes that all cameras measured; 0 if there are too few."""
     good = measured & np.isfinite(misfit)
     return float(np.median(misfit[good])) if good.sum() >= MIN_NODES else 0.0
 
 
 def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
-    """Blocks at which pairs of cameras give different surfaces, (ny, nx); pixel in metres.
-    Means over 5 x 5 blocks differ by more than 1.5 px of parallax; two blocks around are included.
+    """Blocks (ny, nx) at which the matches of two pairs give different elevations; pixel in metres.
+
+    Means over 5 x 5 blocks differ by more than 1.5 px of parallax. Blocks within two of these are included.
+    This finds errors larger than a bead, which scores do not show; `inconsistent_scores` finds smaller ones.
     """
     out = np.zeros(matches[0].eps_y.shape, bool)
     for one, other in pairwise(matches):
@@ -67,15 +70,18 @@ def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
 
 
 def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
-    """Blocks (ny, nx), and two around, where sum s / sum H over 9 x 9 differs by over 0.75 px of parallax.
-    Scores s, Hessians H and parallax lengths (px per metre) of the pairs are (ny, nx).
+    """Blocks (ny, nx) at which two pairs would correct the common surface differently.
+
+    The corrections sum s / sum H over 9 x 9 blocks, with the score s and the Hessian H of each pair (ny, nx),
+    differ by more than 0.75 px of parallax. Blocks within two of these are included. `lengths` (ny, nx) are
+    the parallaxes, px per metre. A camera that is displaced by a pixel is found by this alone.
     """
     means = [
         (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
         for s, h in zip(scores, hessians, strict=True)
     ]
-    # at the surface to which both are brought only noise is left: a std of 0.02 to 0.07 px on bright and on
-    # dark images, 0.36 px at most; complete matches may differ by much more and yet a bead's width hides it
+    # At the common surface only noise is left. Its std is 0.02 to 0.07 px on bright and on dark images, at
+    # most 0.36 px. Matches may differ by more than a bead's width, which scores do not show.
     out = np.zeros(scores[0].shape, bool)
     for ((s, h), a), ((t, g), b) in pairwise(zip(means, lengths, strict=True)):
         least = np.float32(_MIN_RELATIVE_HESSIAN)
@@ -87,5 +93,5 @@ def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], leng
 
 
 def widened(where: Mask) -> Mask:
-    """Blocks and their neighbours within two blocks, the reach of windows."""
+    """Mask (ny, nx) extended by two blocks, the reach of a window."""
     return np.asarray(cv2.dilate(where.view(np.uint8), _WINDOW_REACH) > 0)

@@ -1,4 +1,4 @@
-"""One pair of cameras: matching its rectified images, and points of still water for a rig."""
+"""Match the rectified images of one pair of cameras."""
 
 from __future__ import annotations
 
@@ -19,49 +19,51 @@ from wavefield.variables import Quality
 
 Float = NDArray[Any]
 
-NEVER_REJECTED_PX = 0.3  # of the epipolar error: the calibration's own
+NEVER_REJECTED_PX = 0.3  # epipolar error that is always accepted, because calibrations have as much
 
 
 @dataclass(frozen=True)
 class PairMatch:
     """Displacement between the rectified images of one pair of cameras, on the lattice of blocks."""
 
-    pair: tuple[str, str]  # The cameras (a, b); the lattice is in a's apparent coordinates
-    difference: Float  # (2, ny, nx): x_b - x_a, metres
+    pair: tuple[str, str]  # the cameras (a, b); the lattice is in apparent positions of a
+    difference: Float  # (2, ny, nx): d = x_b - x_a, difference of the apparent positions, metres
     parallax: Float  # (2, ny, nx): dD = D_b - D_a, each at its own apparent position
-    eps_y: Float  # (ny, nx): mismatch across the sight line, metres
-    rejected: NDArray[np.uint16]  # (ny, nx): bits of `Quality`: why a block does not count; 0 where it does
-    matched: NDArray[np.bool_]  # (ny, nx): blocks that both cameras see and that matching itself accepts
-    found: matching.Displacement  # The match itself, px
+    eps_y: Float  # (ny, nx): epipolar error, metres
+    rejected: NDArray[np.uint16]  # (ny, nx): bits of `Quality`: why a block is not valid; 0 if it is
+    matched: NDArray[np.bool_]  # (ny, nx): valid except for the test of the epipolar error
+    found: matching.Displacement  # the match itself, px
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Blocks that count, (ny, nx)."""
+        """True for valid blocks, (ny, nx)."""
         return np.asarray(self.rejected == 0)
 
     @property
     def height(self) -> Float:
-        """Elevation that explains the displacement best, (ny, nx), metres."""
+        """Elevation z = -dD . d / |dD|^2, (ny, nx), metres."""
         out: Float = -np.sum(self.parallax * self.difference, axis=0)
         out /= np.sum(np.square(self.parallax), axis=0)
         return out
 
     @property
     def turned(self) -> PairMatch:
-        """The same with parallaxes turned by 90 degrees: "elevations" of it are errors, not water."""
+        """The match with parallaxes turned by 90 degrees, so that its "elevation" is pure error."""
         return replace(self, parallax=quarter_turn(self.parallax))
 
 
 def quarter_turn(vector: Float) -> Float:
-    """Vectors (2, ny, nx) turned to the left by 90 degrees."""
+    """Rotate vectors (2, ny, nx) by 90 degrees to the left."""
     return np.stack([-vector[1], vector[0]])
 
 
 def match_pair(
     a: matching.PreparedImage, b: matching.PreparedImage, pair: tuple[str, str], geometry: GridGeometry
 ) -> PairMatch:
-    """Match two rectified images of one instant: d = x_b - x_a = -(D_b - D_a) z in apparent positions.
-    Hence z = -(dD . d) / |dD|^2 and eps_Y = (dD_y d_x - dD_x d_y) / |dD|.
+    """Match two rectified images of one instant, and reject blocks by elevation and epipolar error.
+
+    In apparent positions, d = x_b - x_a = -(D_b - D_a) z. Hence z = -(dD . d) / |dD|^2, and the epipolar
+    error is eps_Y = (dD_y d_x - dD_x d_y) / |dD|.
     """
     found = matching.match(a, b, geometry.stereo_settings(pair))
     d = np.stack([found.u, found.v]) * np.float32(geometry.pixel)
@@ -82,13 +84,13 @@ def match_pair(
 
 
 def _sight_line(centre: Float, x: Float, y: Float) -> Float:
-    """Horizontal displacement D of a sight line per unit of height, at apparent positions, (2, ny, nx)."""
+    """Slope D of the sight lines from a camera centre at apparent positions x, y: (2, ny, nx)."""
     depth = np.float32(-centre[2])
     return np.stack([(x - np.float32(centre[0])) / depth, (y - np.float32(centre[1])) / depth])
 
 
 def why_rejected(reason: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """The bits of `Quality` for matching's bits of `Reason`."""
+    """Convert the bits of `Reason` from matching to bits of `Quality`."""
     out = np.zeros(reason.shape, np.uint16)
     known = int(Reason.NEIGHBOURS | Reason.RANGE)
     for bits, flag in (
@@ -100,7 +102,7 @@ def why_rejected(reason: NDArray[np.uint8]) -> NDArray[np.uint16]:
     return out
 
 
-_STRIDE_BLOCKS = 5  # nearer ones share their window
+_STRIDE_BLOCKS = 5  # step between the blocks that are used: closer ones share their window
 
 
 def matched_pixels(
@@ -109,7 +111,11 @@ def matched_pixels(
     geometry: GridGeometry,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Pixels (column, row) of the same points of the surface in each camera's images, (n, 2)."""
+    """Pixels (column, row) of the same n points of still water in each camera, (n, 2), to level a rig.
+
+    `read(camera, frame)` returns an image or None. Raises CalibrationError if no frame is usable in all
+    cameras.
+    """
     rig = geometry.rig
     cells = np.s_[::_STRIDE_BLOCKS, ::_STRIDE_BLOCKS]
     x, y = (v[cells] for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))

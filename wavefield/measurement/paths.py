@@ -1,4 +1,11 @@
-"""Paths of the water in each camera's images: weights of the frames, places along a path, velocity there."""
+"""Paths of particles in the images of each camera, and their velocity at mid-time.
+
+A particle that is at a node at mid-time has moved through the images of the frames around. Its displacement
+in a step is read where it was then, from the MAP displacement of that step. A polynomial through its
+positions in 2, 4 or 6 frames gives its velocity. The six frames are numbered 0 to 5, with mid-time between 2
+and 3; the five steps between them are called bb, b, c, a, aa (two before, before, centre, after, two after).
+Times are in frame intervals from mid-time.
+"""
 
 from __future__ import annotations
 
@@ -24,25 +31,25 @@ from wavefield.variables import PATH_WEIGHTS, Quality
 
 Float = NDArray[Any]
 
-EVEN_TIMES = np.arange(6) - 2.5  # of the six frames around a step, intervals from mid-time
-# Frames from which z at mid-time comes, by their number; of three, those without the one before the step
+EVEN_TIMES = np.arange(6) - 2.5  # times of the six frames around a step if they are evenly spaced
+# frames from which z at mid-time is interpolated, by their number; for three, the first neighbour is missing
 FRAMES_OF_Z = {6: (0, 1, 2, 3, 4, 5), 4: (1, 2, 3, 4), 3: (2, 3, 4), 2: (2, 3)}
-# Frames through whose places a path goes: its own two, with the one before, after, with both, all six
+# frames of a path: those of the step, also the one before, also the one after, both, all six
 FRAMES_OF_PATH = ((2, 3), (1, 2, 3), (2, 3, 4), (1, 2, 3, 4), (0, 1, 2, 3, 4, 5))
-# Correlation of the noise of successive displacements. They share a frame: were that all, it would be -1/2;
-# what the beads' places make in every pair of frames has none. By errors of chords and of paths through four
-# and six places at 80 frames/s it is -0.14 to -0.21 in good light.
+# Correlation between the noise of successive displacements. Noise of the frame that they share would give
+# -1/2; errors that depend on where the beads are would give 0. Errors of simulated records at 80 frames/s in
+# good light give -0.14 to -0.21.
 _NOISE_CORRELATION = -0.2
 
 
 def elevation_gain(phase: Float, frames: int) -> Float:
-    """Fraction of a wave's elevation that 2, 4 or 6 frames give at mid-time; phase per step, rad."""
+    """Gain of z at mid-time interpolated from 2, 4 or 6 frames, for a wave of this phase per step, rad."""
     weights = {2: (1.0,), 4: (9 / 8, -1 / 8), 6: (150 / 128, -25 / 128, 3 / 128)}[frames]
     return np.asarray(sum(w * np.cos((n + 0.5) * phase) for n, w in enumerate(weights)))
 
 
 def path_gain(phase: Float, frames: int) -> Float:
-    """Fraction of a wave's velocity that paths give at mid-time, by `path_frames`; phase per step, rad."""
+    """Gain of velocities by the kind of paths `path_frames`, for a wave of this phase per step, rad."""
     own, *neighbours = PATH_WEIGHTS[frames]
     path = own + 2.0 * sum(w * np.cos(n * phase) for n, w in enumerate(neighbours, 1))
     return np.asarray(np.sinc(phase / (2.0 * np.pi)) * path)
@@ -51,8 +58,10 @@ def path_gain(phase: Float, frames: int) -> Float:
 def frame_weights(
     times: Float, frames: Sequence[int], smooth: bool = False, at: Float | float = 0.0
 ) -> tuple[Float, Float]:
-    """Weights (6, ...) of six frames in a value and in its rate, by the polynomial through ``frames`` alone.
-    Times (6,) and at are intervals from mid-time. A smooth rate is exact to degree four only, but less noisy.
+    """Weights of six frames for a value and for its rate at the time `at`, each (6,) + the shape of `at`.
+
+    The polynomial through ``frames`` alone defines them. With `smooth`, the rate is exact only for
+    polynomials of degree four, but has less noise.
     """
     used = list(frames)
     powers = np.vander(times[used], increasing=True).T
@@ -69,30 +78,32 @@ def frame_weights(
 
 
 def noise_of_displacements(weights: Float) -> Float:
-    """Weights of the noise variances of successive displacements, from their weights (n, ...) at mid-time."""
+    """Weights (n, ...) of the noise variances of n successive displacements, from the weights (n, ...) of
+    the displacements. Correlation between neighbours is included.
+    """
     padded = np.pad(weights, [(1, 1), *[(0, 0)] * (weights.ndim - 1)])
     return np.asarray(weights * (weights + _NOISE_CORRELATION * (padded[:-2] + padded[2:])))
 
 
 def place_weights(frames: int) -> tuple[Float, Float]:
-    """Times of a path's points, in steps from mid-time, and their weights in the mid-time displacement."""
+    """Times of the positions along a path, and their weights in the displacement per step at mid-time."""
     later = -np.diff(PATH_WEIGHTS[frames], append=0.0)
     t = np.arange(2 * len(later)) - len(later) + 0.5
     return t, np.concatenate([-later[::-1], later])
 
 
 def row_delay(name: str, geometry: GridGeometry) -> float:
-    """Delay in frame intervals from one row of the binned image to the next."""
+    """Delay of a rolling shutter from one row of the binned image to the next, frame intervals."""
     return dict(geometry.settings.row_delays).get(name, 0.0) * geometry.sights[name].binning
 
 
 def middle_row(sight: Sight) -> float:
-    """Row of the binned image that is read at the time of the frame."""
+    """Middle row of the binned image, which a rolling shutter reads at the time of the frame."""
     return 0.5 * (sight.camera.size[1] - 1)
 
 
 def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
-    """Delay, in frame intervals, at which each camera of the pairs shows the nodes, (ny, nx)."""
+    """Delay (ny, nx) at which each camera that measures z sees the nodes, frame intervals; z in metres."""
     out = {}
     for name in geometry.surface_cameras:
         sight = geometry.sights[name]
@@ -101,16 +112,17 @@ def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
 
 
 def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
-    """Mean over cameras of the delay of nodes on the surface z, (ny, nx), frame intervals; None if zero."""
+    """Mean of `lateness` over the cameras, (ny, nx); None without rolling shutters."""
     if not geometry.settings.row_delays or geometry.settings.sheet_thickness is not None:
         return None
     return np.asarray(np.mean(list(lateness(z, geometry).values()), axis=0))
 
 
 def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float, Float]:
-    """Error of the elevation (ny, nx), and its shift from the node (2, ny, nx), from row delays; metres.
-    A point that camera n sees tau_n late is off by tau_n (d_xy - D_n d_z): D_n sight line, d (3, ny, nx)
-    motion.
+    """Error of the elevation (ny, nx), and its horizontal shift (2, ny, nx), due to rolling shutters; metres.
+
+    Camera n sees a point late by tau_n, so its apparent position is off by tau_n (d_xy - D_n d_z), with the
+    slope D_n of its sight line and the displacement per step d (3, ny, nx), metres.
     """
     late = lateness(z, geometry)
     mean = np.mean(list(late.values()), axis=0)
@@ -118,7 +130,7 @@ def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float,
     for name, tau in late.items():
         slope[name] = np.stack(geometry.rig[name].sight_line(geometry.x, geometry.y, z))
         shift[name] = (tau - mean) * (d[:2] - slope[name] * d[2])
-    # what differs between the cameras of a pair is taken for an elevation
+    # a difference between the two cameras of a pair appears as an elevation
     along = square = np.float32(0.0)
     for a, b in geometry.pairs:
         parallax = slope[b] - slope[a]
@@ -136,14 +148,14 @@ Step = TypeVar("Step")
 F = np.float32
 
 
-# NaN must propagate; sums may be taken in any order
+# NaN must propagate, but sums may be reordered
 _LOOSE = {"contract", "reassoc"}
 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, int]:
-    """Both fields at the block nearest to a place (in blocks), and that block; block 0 for NaN."""
-    i = np.int64(min(F(nx) - F(2), max(F(1), x + F(0.5))))  # of two, `max` returns the first beside a NaN
+    """Both components at the block nearest to x, y (in blocks), and the number of that block."""
+    i = np.int64(min(F(nx) - F(2), max(F(1), x + F(0.5))))  # max(1, NaN) is 1
     j = np.int64(min(F(ny) - F(2), max(F(1), y + F(0.5))))
     n: Any = j * nx + i
     return c[2 * n], c[2 * n + 1], n
@@ -151,7 +163,7 @@ def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _inside(nx: int, ny: int, x: Real, y: Real) -> bool:
-    """Whether a place (in blocks) lies inside the image; outside, fields are read at the edge."""
+    """Whether x, y (in blocks) lies on the lattice; beyond it, fields are read at the edge."""
     half = F(0.5)
     return bool(-half < x < F(nx) - half and -half < y < F(ny) - half)
 
@@ -170,12 +182,13 @@ def _lines(c: Float, first: np.uintp, down: np.uintp, w: Weights) -> Weights:
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _dot(a: Weights, b: Weights) -> Real:
+    """Inner product of two tuples of four numbers."""
     return (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3])
 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def displacement_at(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real]:
-    """Both fields at a place, in blocks."""
+    """Both components of a displacement at x, y (in blocks), from its spline coefficients c."""
     i, t = place_of(x, nx)
     j, s = place_of(y, ny)
     wx, wy = spline_weights(t), spline_weights(s)
@@ -187,8 +200,10 @@ def displacement_at(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real,
 def _solve_near(
     c: Float, nx: int, ny: int, part: Real, x: Real, y: Real, u: Real, v: Real
 ) -> tuple[Real, Real, Real, Real, Weights]:
-    """Solve p = x - part f(p) by one Newton step from p = x - part (u, v), in blocks.
-    Returns p, f(p), and the derivative of p with respect to x, (1 + part G)^-1, row by row.
+    """Find the position p with p = x - part f(p), by one Newton step from p = x - part (u, v), in blocks.
+
+    f is the displacement with the spline coefficients c. Returns p, f(p), and the derivative of p with
+    respect to x, (1 + part grad f)^-1, row by row.
     """
     px, py = x - part * u, y - part * v
     i, t = place_of(px, nx)
@@ -219,8 +234,10 @@ def _read_path(
     out: Float,
     block: NDArray[np.int64],
 ) -> None:
-    """Fill out (6, n) and block (5, n) from the fields of five steps in time order; empty if missing.
-    The weights are those of `path_weights`, for all places (m = 1) or for each (m = n).
+    """Compute the results of `read_path`, out (6, n) and block (5, n), for n pixels x, y.
+
+    Splines and masks of missing steps are empty. The weights (5, 2, 5, m) are those of `path_weights`, for
+    all pixels (m = 1) or for each (m = n).
     """
     bb, b, c, a, aa = splines
     has_bb, has_b, has_a, has_aa = measured
@@ -235,7 +252,7 @@ def _read_path(
             continue
         m = k if weights.shape[3] > 1 else 0
         px, py = (x[k] - x0) * across, (y[k] - y0) * across
-        # from the nearest blocks, all within half a block's change of the field
+        # first guess: the displacements at the nearest blocks
         part = weights[3, 0, 2, m] * across
         u, v, n = _nearest(c, nx, ny, px, py)
         u, v, n = _nearest(c, nx, ny, px - part * u, py - part * v)
@@ -250,7 +267,7 @@ def _read_path(
         w = weights[int(before) + 2 * int(after), 0]
         part = w[2, m] * across
         kx, ky = -across * (w[1, m] * ub + w[3, m] * ua), -across * (w[1, m] * vb + w[3, m] * va)
-        # in blocks from here on: the fields' unit is px
+        # positions are in blocks from here on, displacements in px
         sx, sy, u, v, g = _solve_near(c, nx, ny, part, px + kx, py + ky, u, v)
         n = _nearest(c, nx, ny, sx, sy)[2]
         ua, va, ub, vb = u, v, u, v
@@ -266,7 +283,7 @@ def _read_path(
         after = has_a.size > 0 and has_a[na] and _inside(nx, ny, ax, ay)
         before = has_b.size > 0 and has_b[nb] and _inside(nx, ny, bx, by)
         w, r = weights[int(before) + 2 * int(after), 0], weights[int(before) + 2 * int(after), 1]
-        # the way as it is now moves the place of departure a little, and with it all places
+        # the better path begins at a slightly different position; correct all displacements along it for that
         change = w[2, m] * across - part
         kx = -across * (w[1, m] * ub + w[3, m] * ua) - change * u - kx
         ky = -across * (w[1, m] * vb + w[3, m] * va) - change * v - ky
@@ -297,14 +314,17 @@ def _read_path(
 
 
 def path_weights(times: Float = EVEN_TIMES, frames: int = 6, at: Float | float = 0.0) -> Float:
-    """Weights (5, 2, 5, m) of five displacements, for the places of `FRAMES_OF_PATH`: in the way from the
-    step's first frame to the place at a time, and in the displacement per interval then.
+    """Weights (5, 2, 5, m) of the five displacements along a path, at m times `at`.
 
-    The polynomials through four even places give X0 = X - d01/2 + (d12 - d-10)/16 and
-    dX/dt dt = (26 d01 - d-10 - d12)/24. Through six they are (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48,
-    with 0.4 of the variance by noise (frames 6), or (2134 d01 - 116 (d-10 + d12) + 9 (d-2-1 + d23))/1920,
-    exact to the fifth degree (frames 7); their place is that of four. Times (6,) and at (m,) are intervals
-    from mid-time.
+    The first axis is the kind of path in `FRAMES_OF_PATH`. The second axis has the weights for the way from
+    the position in the step's first frame to that at `at`, and for the displacement per interval at `at`.
+
+    Let X0 and X be the positions in the first frame and at mid-time, and d01 the displacement of the step.
+    The polynomial through four evenly spaced positions gives X0 = X - d01/2 + (d12 - d-10)/16 and
+    dX/dt dt = (26 d01 - d-10 - d12)/24. Through six positions, dX/dt dt is
+    (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48, which has 0.4 times the noise variance (frames = 6), or
+    (2134 d01 - 116 (d-10 + d12) + 9 (d-2-1 + d23))/1920, which is exact to the fifth degree (frames = 7); X0
+    is that of four.
     """
     at = np.ravel(at)
     out = np.empty((5, 2, 5, at.size))
@@ -318,7 +338,7 @@ def path_weights(times: Float = EVEN_TIMES, frames: int = 6, at: Float | float =
 
 
 def five(steps: Sequence[Step | None]) -> Sequence[Step | None]:
-    """Five steps in order, None for missing ones."""
+    """Pad one, three or five steps to five by None."""
     missing = [None] * (2 - len(steps) // 2)
     return [*missing, *steps, *missing]
 
@@ -331,10 +351,15 @@ def read_path(
     Y: Float,
     weights: Float | None = None,
 ) -> tuple[Float, NDArray[np.int64]]:
-    """dX/dt dt at pixels X, Y, displacement over the step, and bend, px, (6,) + the shape of X.
-    Splines (ny, nx, 2), px, of an odd number of steps; weights of `path_weights`, by default of even times.
-    Displacements are per interval, that over the step is the step's own. Also returns the blocks read, 5 per
-    X, or -1.
+    """Motion of the particles that are at pixels X, Y at mid-time, and the blocks that were read.
+
+    Returns (6,) + the shape of X, px: dX/dt dt at mid-time, the displacement over the step (chord), and the
+    mean position in the step's two frames minus that at mid-time (bend), each along X and Y. Also returns
+    the number of the block read in each of the five steps, (5,) + the shape of X, -1 where none was.
+
+    `splines` are coefficients (ny, nx, 2), px, of one, three or five steps in time order, None if missing;
+    `valid` (ny, nx) are their measured blocks. `weights` are those of `path_weights`, by default for even
+    times.
     """
     nodes = np.shape(X)
     weights = np.asarray(path_weights() if weights is None else weights, np.float32)
@@ -353,24 +378,20 @@ def read_path(
 
 @dataclass(frozen=True)
 class CameraDisplacements:
-    """Displacements of each of N cameras at the nodes."""
+    """Displacements of particles in the images of N cameras, for the nodes at mid-time."""
 
     jacobian: Float  # (2N, 3, ny, nx): px per metre
-    moved: Float  # (2N, ny, nx): per step at mid-time, px; NaN where the camera does not see the node
-    noise: Float  # (2N, ny, nx): variance by noise, and by what the prior removes or adds, px^2
-    missing: Float
-    rejected: NDArray[np.uint16]  # (N, ny, nx): why not measured: bits of `Quality`; `OUTSIDE` where not seen
-    frames: NDArray[np.uint8]  # (ny, nx): places of the paths: 2, 4 or 6, the fewest of all cameras'
-    chord: (
-        Float  # (2N, ny, nx): displacement over the step, and the mean of the places in its two frames less
-    )
-    bend: Float  # that at mid-time, px
-    axes: (
-        Float  # (N, 3): viewing direction of each camera over its distance from the middle of the field, 1/m
-    )
+    moved: Float  # (2N, ny, nx): displacement per step at mid-time, px; NaN where not seen
+    noise: Float  # (2N, ny, nx): variance due to noise, px^2
+    missing: Float  # (2N, ny, nx): variance of waves that the prior suppresses, px^2
+    rejected: NDArray[np.uint16]  # (N, ny, nx): bits of `Quality`: why not measured; `OUTSIDE` if not seen
+    frames: NDArray[np.uint8]  # (ny, nx): positions along the paths: 2, 4 or 6, the fewest of all cameras
+    chord: Float  # (2N, ny, nx): displacement over the step, px
+    bend: Float  # (2N, ny, nx): mean position in the step's two frames minus that at mid-time, px
+    axes: Float  # (N, 3): viewing direction of each camera over its distance from the field's middle, 1/m
 
     def without(self, n: int) -> CameraDisplacements:
-        """The same without one camera."""
+        """The displacements without camera n."""
         rows, cameras = [2 * n, 2 * n + 1], n
         of_rows = ("jacobian", "moved", "noise", "missing", "chord", "bend")
         parts = {name: np.delete(getattr(self, name), rows, axis=0) for name in of_rows}
@@ -387,8 +408,10 @@ def displacements_at_nodes(
     times: Float = EVEN_TIMES,
     every: int = 1,
 ) -> CameraDisplacements:
-    """Displacements of the named cameras at every n-th node along x and y on the surface z, metres.
-    z is given at all nodes. Times of the six frames are in intervals from mid-time.
+    """Displacements of the named cameras at every n-th node along x and y.
+
+    z (ny, nx), metres, is the elevation of all nodes at mid-time; `steps` are the MAP displacements of one,
+    three or five steps.
     """
     z = z[::every, ::every]
     count, shape = len(names), z.shape
@@ -410,7 +433,7 @@ def displacements_at_nodes(
         late = delay * (np.nan_to_num(Y) - middle_row(sight)) if delay else 0.0
         weights = path_weights(times, path_frames, -late)
         found, block, noise[rows], missing[rows] = _along_path(path, sight, X, Y, weights)
-        if delay:  # what moves down is seen later in the next frame
+        if delay:  # a particle that moves down is read later in the next frame: its interval is longer
             found[:2] /= 1.0 + delay * found[1]
         moved[rows], chord[rows], bend[rows] = found[:2], found[2:4], found[4:]
         axes[n] = sight.camera.R[2] / (sight.camera.R[2] @ middle + sight.camera.T[2])
@@ -424,7 +447,7 @@ def displacements_at_nodes(
 def _along_path(
     path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float, weights: Float
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
-    """For one camera: path at given pixels (`read_path`), blocks read, variances of noise and prior."""
+    """`read_path` for one camera at pixels X, Y, with the variances due to noise and to suppressed waves."""
     here = path[len(path) // 2]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]
@@ -441,8 +464,10 @@ def _along_path(
 
 @compiled(error_model="numpy")
 def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: Float, out: Float) -> None:
-    """Fill out (c, n) with the noise of a path: variances (c, blocks) of five steps at blocks read (5, n).
-    -1 marks steps not read. The weights (5, 5, m) apply to variances, for the places of `FRAMES_OF_PATH`.
+    """Write the variance due to noise of n paths to out (c, n).
+
+    noises (c, blocks) are the variances of five steps, block (5, n) the blocks read, -1 for steps not read.
+    The weights (5, 5, m) of the variances are given for each kind of path in `FRAMES_OF_PATH`.
     """
     bb, b, c, a, aa = noises
     for k in range(block.shape[1]):
@@ -462,6 +487,6 @@ def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: F
 
 
 def _places_read(block: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Number of points of each path, from the blocks read for it: 2, 4 or 6."""
+    """Number of positions along each path, 2, 4 or 6, from the blocks that were read."""
     near, far = (block[[2 - n, 2 + n]] >= 0 for n in (1, 2))
     return np.asarray(2 + 2 * near.all(axis=0) + 2 * far.all(axis=0), np.uint8)

@@ -1,7 +1,8 @@
-"""Beads, spectra and noise of a whole record, learned from sample frames once before its first step.
+"""Learn the beads, spectra and noise of a record from sample frames, once before its first step.
 
-In order: width of the beads, first spectra, noise, second spectra, ripples and the kind of paths. The result
-is one frozen `LearnedRecord`, stored in the recipe, so that all steps are weighted alike.
+In this order: widths of the beads; first spectra, from windowed fields; noise, from differences between the
+cameras; second spectra, with this noise; the kind of paths; ripples. The result is a frozen `LearnedRecord`,
+stored in the recipe of the cube, so that all steps are weighted alike.
 """
 
 from __future__ import annotations
@@ -63,14 +64,15 @@ from wavefield.variables import EXACT_SIX, Quality
 Frames = Mapping[str, NDArray[Any] | None]
 Float = NDArray[np.floating]
 
-SAMPLES = 4  # steps of a record
-_ROUNDS = 2  # of noise and second spectra: the first noise is several times too small where waves are short
-_MIN_INFORMATION = 1e-3  # of a block, per square px: its own estimate is uncertain by 30 px
-_NOISE_FACTORS = 0.1, 10.0  # accepted range
-# Noise of whole beads over that of plain blocks, below which spectra from whole beads show more of the waves,
-# and elsewhere more of the noise: 0.9 to 1 on long waves, 0.5 to 0.7 on slopes of 0.15 by waves of 5 to 8 cm
+SAMPLES = 4  # sample steps of a record
+_ROUNDS = 2  # of noise and second spectra: the first noise is several times too small if waves are short
+_MIN_INFORMATION = 1e-3  # per px^2: a block with less is uncertain by 30 px, and the sample is not used
+_NOISE_FACTORS = 0.1, 10.0  # smallest and largest accepted `Prior.noise`
+# The spectrum of z is learned from whole beads (`scores_at`) if their noise is below this fraction of that of
+# plain blocks. The fraction is 0.9 to 1 on long waves, where plain blocks give less noise in the spectrum,
+# and 0.5 to 0.7 on waves of 5 to 8 cm with slopes of 0.15.
 _NOISE_WITHOUT_CUT_BEADS = 0.75
-_FLAT = Prior.isotropic((0.0, np.pi), (0.0, 0.0), 1.0)  # of a light sheet: no waves
+_FLAT = Prior.isotropic((0.0, np.pi), (0.0, 0.0), 1.0)  # prior for a light sheet: no waves
 
 
 def sample_steps(count: int, number: int = 0) -> list[int]:
@@ -79,14 +81,14 @@ def sample_steps(count: int, number: int = 0) -> list[int]:
     Parameters
     ----------
     count : int
-        Steps of the record.
+        Number of steps of the record.
     number : int, default 0
-        Which set: others where the first cannot be measured.
+        Number of the set: 1 or 2 give other steps if those of 0 cannot be measured.
 
     Returns
     -------
     list of int
-        At most four, evenly over the record.
+        At most four steps, evenly spaced over the record.
 
     Examples
     --------
@@ -110,26 +112,26 @@ def learn(
     Parameters
     ----------
     steps : sequence of (mapping, mapping)
-        First and second frame of some steps (`sample_steps`), per camera; None where absent.
+        First and second frame of every sample step (`sample_steps`), per camera; None for a missing frame.
     geometry : GridGeometry
         Rig, grid and settings.
     masks : sequence of (mapping, mapping), optional
-        True where pixels of these frames do not count, per camera; None where all do.
+        True on pixels to ignore, per step, frame and camera; None for no mask.
     threads : int, default 1
-        Steps that are computed in parallel; the result does not depend on it.
+        Number of steps that are computed in parallel; the result does not depend on it.
     frame_rate : float, optional
-        Frames per second, Hz; without it, paths are the exact ones through six frames.
+        Frames per second, Hz. Without it, paths are the exact ones through six frames.
 
     Returns
     -------
     LearnedRecord or None
-        For a `Model`; None if none of the frames can be measured.
+        The argument of `Model`; None if z or the displacement of two cameras cannot be measured in any step.
 
     Notes
     -----
-    The first spectrum is that of windowed fields; then fields and spectra follow from each other
-    (`refined_prior`). The noise of the displacements is such that the median of the
-    cameras' misfit is that of chi^2.
+    The first spectrum is that of windowed fields. MAP fields and spectra are then computed from each other in
+    turn (`refined_prior`). The noise of the displacements is scaled so that the misfit between the cameras
+    has the median of chi^2.
     """
     with ThreadPoolExecutor(threads) as pool:
         return _learned(steps, geometry, masks or [({}, {})] * len(steps), pool, frame_rate)
@@ -142,8 +144,9 @@ def _learned(
     pool: ThreadPoolExecutor,
     frame_rate: float | None,
 ) -> LearnedRecord | None:
+    """`learn` with a pool of threads, from top to bottom."""
     sheet = geometry.settings.sheet_thickness is not None
-    # width of the beads; with it images are prepared and matched
+    # widths of the beads, which the preparation of the images needs
     beads = _bead_widths(steps, masks, geometry, pool)
     samples = list(pool.map(partial(_SampleStep.match, geometry, beads), steps, masks))
     # first spectra
@@ -160,7 +163,7 @@ def _learned(
     priors = {name: _first_spectrum(fields, pool) for name, fields in moved.items()}
     some = next(iter(priors.values()))
     priors = {name: priors.get(name, some) for name in geometry.velocity_cameras}
-    # noise, from the differences of the cameras, and second spectra with it
+    # noise, from differences between the cameras, and second spectra with it
     z_model = elevation_model(geometry, z_prior, beads)
     surfaces = list(pool.map(lambda one: _mean_elevation(one, geometry, z_model), samples))
     for _ in range(_ROUNDS):
@@ -174,7 +177,7 @@ def _learned(
                 _refined(moved[name], prior, OPEN_SIGNAL_TO_NOISE, pool) if name in moved else prior
             )
     priors = _with_pooled_fraction(priors)
-    # paths with the smallest error, and ripples
+    # the kind of paths with the smallest error, and ripples
     path_frames = EXACT_SIX
     if frame_rate is not None:
         waves = detected_waves(z_prior, geometry.pixel, frame_rate)
@@ -194,7 +197,7 @@ def _learned(
 
 
 def _with_pooled_fraction(priors: Mapping[str, Prior]) -> dict[str, Prior]:
-    """Priors of cameras that see the same waves, with a common fraction of undetected waves."""
+    """Priors with the mean `undetected_fraction` of all cameras, because they see the same waves."""
     fraction = float(np.mean([prior.undetected_fraction for prior in priors.values()]))
     return {name: replace(prior, undetected_fraction=fraction) for name, prior in priors.items()}
 
@@ -205,8 +208,8 @@ class _SampleStep:
 
     first: Images
     second: Images
-    pairs: elevation.MatchedPairs | None  # at the first frame
-    displacements: Mapping[str, matching.Displacement]
+    pairs: elevation.MatchedPairs | None  # of the first frame; None if it shows no surface
+    displacements: Mapping[str, matching.Displacement]  # from the first frame to the second, per camera
 
     @classmethod
     def match(
@@ -232,7 +235,7 @@ def _bead_widths(
     geometry: GridGeometry,
     pool: ThreadPoolExecutor,
 ) -> dict[str, float]:
-    """Median width of every camera's beads, raw px."""
+    """Median width of the beads in the images of every camera, raw px; 0 without a usable frame."""
     out = {}
     for name in geometry.cameras:
         images = [(first.get(name), mask.get(name)) for (first, _), (mask, _) in zip(steps, masks)]
@@ -248,20 +251,21 @@ def _bead_widths(
 
 @dataclass(frozen=True)
 class _FieldSample:
-    """One field of a sample step: windowed, and as the MAP estimate of a prior."""
+    """One field of a sample step: windowed, and functions that compute its MAP estimate with a prior."""
 
-    field: Float  # (c, ny, nx), without holes
+    field: Float  # (c, ny, nx): the windowed field, holes filled
     information: float  # mean over the blocks that have any
-    area: float  # that a block's value represents, px^2 (`Prior`)
-    estimate: Callable[[Modes], tuple[Float, float]]  # coefficients of the MAP field, and its information
-    # The same of a field of noise alone, where the cameras show one
+    area: float  # variance of the area that a block's value averages over, px^2 (`Prior`)
+    estimate: Callable[[Modes], tuple[Float, float]]  # coefficients of the MAP field, mean information
+    # the same for the component across the sight lines, which contains only noise; for elevations
     noise: Callable[[Modes], tuple[Float, float]] | None = None
-    # Information along the sight lines, variance of z and of the smooth epipolar error, m^2, noise of scores
+    # mean information, variance of z and of the smooth epipolar error, m^2, noise of the scores; for
+    # elevations
     summary: Callable[[Modes], tuple[float, float, float, float]] | None = None
 
 
 def _without_holes(found: elevation.ElevationEstimate | FlowEstimate) -> tuple[Float, float]:
-    """Coefficients of a field and mean information of a block, as if every block had information."""
+    """Coefficients of a field and mean information of a block, scaled to a field without holes."""
     known = float(np.mean(found.information > 0))
     if not known:
         return found.waves, 0.0
@@ -271,17 +275,18 @@ def _without_holes(found: elevation.ElevationEstimate | FlowEstimate) -> tuple[F
 def _elevation_samples(
     steps: Sequence[_SampleStep], geometry: GridGeometry, pool: ThreadPoolExecutor, whole_beads: bool = False
 ) -> list[_FieldSample]:
-    """Elevation of the first frame of each sample step that shows one, by plain blocks or whole beads."""
+    """Elevation of the first frame of every sample step that can be measured; steps without are left out."""
 
     def sample_of(step: _SampleStep) -> _FieldSample | None:
         if step.pairs is None:
             return None
         blocks, matches = step.pairs
         flat, pixel = step.first.flat, geometry.pixel
-        turned = [one.turned for one in matches]  # across the sight lines: no wave moves anything there
+        turned = [one.turned for one in matches]  # across the sight lines, where waves displace nothing
 
         def estimate(modes: Modes) -> tuple[Float, float]:
-            # with noise from the scores along: with that across, an excess along would count as waves
+            # noise from the scores along the sight lines: if it were larger there than across, the excess
+            # would count as waves
             found = map_elevation(blocks, matches, flat, modes, pixel, whole_beads, noise_across=False)
             return _without_holes(found)
 
@@ -309,7 +314,7 @@ def _displacement_samples(
     geometry: GridGeometry,
     pool: ThreadPoolExecutor,
 ) -> list[_FieldSample]:
-    """Displacement of one camera in each sample step that shows one."""
+    """Displacement of one camera in every sample step that can be measured."""
     area = displacement_area(beads.get(name, 0.0) / geometry.sights[name].binning)
 
     def sample_of(step: _SampleStep) -> _FieldSample:
@@ -330,7 +335,7 @@ def _displacement_samples(
 
 
 def _first_spectrum(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> Prior:
-    """Prior of one kind of field: the spectrum of the windowed fields, refined twice."""
+    """Prior of one kind of field: the spectrum of the windowed fields, then refined twice."""
     fields = [one.field - edge_field(one.field) for one in samples]
     typical = float(np.mean([one.information for one in samples]))
     prior = first_prior(fields, typical, samples[0].area)
@@ -340,7 +345,7 @@ def _first_spectrum(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -
 
 
 def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: ThreadPoolExecutor) -> Prior:
-    """Prior refined from the fields of a prior raised to a least signal-to-noise ratio."""
+    """Raise a prior to a signal-to-noise ratio, estimate the fields with it, and refine it from them."""
     prior = prior.with_min_signal_to_noise(ratio)
     modes = Modes(prior, samples[0].field.shape[-2:])
     waves, information = zip(*pool.map(lambda one: one.estimate(modes), samples))
@@ -350,9 +355,7 @@ def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: 
 
 
 def _elevation_prior(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> tuple[Prior, float]:
-    """Prior of the elevation, with its information along the sight lines and the fraction that is waves.
-    Also the noise of scores with it.
-    """
+    """Prior of the elevation, with the fraction of its spectrum that is waves, and noise of the scores."""
     prior = _first_spectrum(samples, pool)
     information, variance, epipolar, of_scores = _summary(samples, prior, pool)
     prior = replace(prior, information=information)
@@ -361,14 +364,14 @@ def _elevation_prior(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) 
 
 
 def _summary(samples: Sequence[_FieldSample], prior: Prior, pool: ThreadPoolExecutor) -> list[float]:
-    """Means of the samples' summaries."""
+    """Mean of `summary` over the samples."""
     modes = Modes(prior, samples[0].field.shape[-2:])
     each = [one.summary for one in samples if one.summary]
     return [float(mean) for mean in np.mean(list(pool.map(lambda summary: summary(modes), each)), axis=0)]
 
 
 def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel) -> Float | None:
-    """Elevation at the nodes, mean of the two frames of a step, (ny, nx), metres."""
+    """Elevation at the nodes, (ny, nx), metres, averaged over both frames of a step; None if not measured."""
     if step.pairs is None:
         first = elevation.surface(step.first.flat, geometry, model)
     else:
@@ -383,16 +386,15 @@ def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel
 class _Differences:
     """Noise, waves and shared residuals, from differences between cameras in one or several steps."""
 
-    noise: float = 1.0  # over the priors'
-    waves: float = 1.0  # fraction of the displacements' spectra that all cameras share
+    noise: float = 1.0  # noise of the displacements over that which the priors predict
+    waves: float = 1.0  # fraction of the displacements' spectra that is waves
     noise_variance: float = 0.0  # of dx, dy and dz of the water together, m^2
-    # Variance of the rise per frame that blocks of two cameras share, and that of single blocks, m^2
-    shared: float = 0.0
+    shared: float = 0.0  # both results of `shared_motion`, m^2
     total: float = 0.0
 
     @classmethod
     def typical(cls, steps: Sequence[_Differences]) -> _Differences:
-        """Medians over several steps."""
+        """Median of each number over several steps."""
         if not steps:
             return cls()
         return cls(*map(float, np.median([astuple(one) for one in steps], axis=0)))
@@ -401,7 +403,7 @@ class _Differences:
 def _differences(
     geometry: GridGeometry, models: Mapping[str, FieldModel], step: _SampleStep, z: Float | None
 ) -> _Differences | None:
-    """Differences between the cameras in one step, on the surface z (ny, nx), metres."""
+    """Differences between the cameras in one step, at elevations z (ny, nx), metres; None if not measured."""
     if z is None:
         return None
     found = {
@@ -419,7 +421,7 @@ def _differences(
     good &= np.isfinite(displacements.moved).all(axis=0)
     if not good.any():
         return None
-    # a camera that shakes moves its whole image: that is not noise from block to block
+    # subtract the median misfit: a camera that shakes moves its whole image, which is not noise of blocks
     fitted = np.einsum("riyx,iyx->ryx", displacements.jacobian, motion.d)
     rest = np.median((displacements.moved - fitted)[:, good], axis=1)
     steady = replace(displacements, moved=displacements.moved - rest[:, None, None].astype(np.float32))
@@ -427,7 +429,7 @@ def _differences(
     solved = solve_motion(steady, parts)
     freedom = 2 * len(names) - 3
     noise = float(np.median(solved.misfit[good])) / (2 * gammaincinv(freedom / 2, 0.5) / freedom)
-    # of the spectra only what the cameras share is waves: their noise is smaller in their mean
+    # waves are what the cameras share: averaging over cameras reduces the noise, but not the waves
     noise_variance = noise * float(solved.noise[:, good].mean(axis=1, dtype=np.float64).sum())
     each = image_variance(displacements, parts)[:, good].mean(axis=1)
     waves = [

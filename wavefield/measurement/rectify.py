@@ -1,7 +1,7 @@
-"""Images to apparent coordinates on z = 0.
+"""Rectify images to apparent positions on z = 0, and bin the images of finer cameras.
 
-The image is sampled on a grid twice as fine by quintic B-splines without prefilter, then read there by linear
-interpolation: bias 0.002 px, where plain cubic interpolation of the image has 0.04 px.
+An image is first resampled to a grid twice as fine, by quintic B-splines without prefilter, and then read by
+linear interpolation. The bias is 0.002 px; plain cubic interpolation of the image has 0.04 px.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ from wavefield.rig import Camera
 
 Float = NDArray[Any]
 
-_ROWS_AT_ONCE = 128  # of a rectified image: what they are read from stays in the cache
+_ROWS_AT_ONCE = 128  # rows of a rectified image: the part of the fine grid they are read from fits the cache
 
 
 @compiled(
@@ -34,9 +34,9 @@ _ROWS_AT_ONCE = 128  # of a rectified image: what they are read from stays in th
 def _double(
     image: NDArray[Any], first: int, scale: np.float32, rows: NDArray[Any], out: NDArray[Any]
 ) -> None:
-    """Quintic B-spline without prefilter at whole and half pixels; out[0, 2 c] lies on pixel (first, c)."""
+    """Write the quintic B-spline of an image at whole and half pixels; out[0, 2 c] lies on (first, c)."""
     h, w = image.shape
-    # the spline at distances 0, 1, 2 and at 1/2, 3/2, 5/2
+    # values of the spline at distances 0, 1, 2 (a) and 1/2, 3/2, 5/2 (b)
     a0, a1, a2 = np.float32(66 / 120), np.float32(26 / 120), np.float32(1 / 120)
     b0, b1, b2 = np.float32(1682 / 3840), np.float32(237 / 3840), np.float32(1 / 3840)
     half = np.float32(0.5)
@@ -83,8 +83,9 @@ def _double(
 
 
 def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
-    """Weighted means of count x count pixels, for a camera that resolves more than its partners.
-    Returns (row // count, column // count); 8-bit images become 16-bit (times 64), so means are not rounded.
+    """Average squares of count x count pixels, for a camera that resolves more than its partners.
+
+    Returns an image (h // count, w // count). 8-bit images become 16-bit, times 64, to keep fractions.
     """
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32)
@@ -94,8 +95,8 @@ def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
     image = image[: h * count, : w * count]
     scale = np.float32(64 if image.dtype == np.uint8 else 1)
     out = np.empty((h, w), np.float32 if image.dtype == np.float32 else np.uint16)
-    # a Gaussian of half a square's side goes first: means alone show a sharp bead the same wherever it lies
-    # in a square
+    # a Gaussian of half the square's side comes first: a plain mean does not depend on where in the square a
+    # sharp bead lies
     _bin(
         np.ascontiguousarray(image),
         _weights(count) * np.sqrt(scale),
@@ -116,12 +117,13 @@ def _weights(count: int) -> NDArray[np.float32]:
 
 @compiled()
 def _in(y: Any, h: int) -> Any:
+    """Row y, or the nearest row of an image with h rows."""
     return min(max(y, 0), h - 1)
 
 
 @compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def _bin(image: NDArray[Any], weights: NDArray[Any], count: int, half: np.float32, out: NDArray[Any]) -> None:
-    """Weighted sums at every count-th row and column; beyond the edge the image is repeated."""
+    """Write weighted sums at every count-th row and column; the edge is repeated outwards."""
     h, w = image.shape
     reach, wide = np.int64(count), np.int64(out.shape[1])
     line = np.empty(w + 2 * reach, np.float32)
@@ -148,19 +150,20 @@ def _bin(image: NDArray[Any], weights: NDArray[Any], count: int, half: np.float3
 
 
 def binned(camera: Camera, count: int) -> Camera:
-    """The camera of the images that `bin_pixels` makes, with count in px."""
+    """The camera that belongs to images binned by `bin_pixels`."""
     width, height = camera.size
     return replace(camera.scaled(1.0 / count), size=(width // count, height // count))
 
 
 def _type_of_double(image: NDArray[Any]) -> np.dtype[Any]:
+    """Type of the image on the fine grid."""
     return np.dtype(np.uint16 if image.dtype in (np.uint8, np.uint16) else np.float32)
 
 
 def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[NDArray[Any]]:
-    """Rows first to last of an image on a grid twice as fine: element (2 r, 2 c) lies on pixel (r, c).
-    Quintic B-spline, no prefilter: 66, 26, 1 over 120 at whole, 1682, 237, 1 over 3840 at half pixels. Each
-    part takes the memory of the one before.
+    """Yield the rows (first, last) of an image on a grid twice as fine: element (2 r, 2 c) is pixel (r, c).
+
+    Every part overwrites the memory of the previous one.
     """
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
@@ -176,8 +179,10 @@ def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[N
 
 
 def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, Float, NDArray[np.bool_]]:
-    """Where a camera sees points x (nx,), y (ny,) of the water at rest, on the grid of `_doubled`, (ny, nx).
-    The third result is True where it sees the point three pixels (the reach of the spline) from its edge.
+    """Positions X, Y (ny, nx) of points x (nx,), y (ny,) on z = 0 in a camera, on the grid of `_doubled`.
+
+    The third result (ny, nx) is True where the camera sees the point, at least three pixels (the reach of the
+    spline) from the edge of its image.
     """
     X, Y = camera.project(x[None, :], y[:, None], 0.0)
     w, h = camera.size
@@ -189,7 +194,7 @@ def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, 
 
 
 def rectify(image: NDArray[Any], X: Float, Y: Float) -> NDArray[Any]:
-    """Image in apparent coordinates, read at X, Y (ny, nx) on the grid of `_doubled`, X < 0: none."""
+    """Read an image at X, Y (ny, nx) on the grid of `_doubled`; 0 where X < 0."""
     out = np.empty(X.shape, _type_of_double(image))
     parts = [np.s_[row : row + _ROWS_AT_ONCE] for row in range(0, len(X), _ROWS_AT_ONCE)]
     rows = [(int(Y[part].min()) // 2, min(int(Y[part].max()) // 2 + 2, len(image))) for part in parts]
@@ -204,7 +209,7 @@ def widen(image: NDArray[Any], x: float, y: float) -> NDArray[Any]:
     sides = tuple(2 * int(np.ceil(2.5 * sigma)) + 1 if sigma >= 0.3 else 1 for sigma in (x, y))
     if sides == (1, 1):
         return image
-    # several times faster than sepFilter2D from 16 bit
+    # several times faster than sepFilter2D of a 16-bit image
     return cv2.GaussianBlur(
         image.astype(np.float32, copy=False), sides, x, sigmaY=y, borderType=cv2.BORDER_REPLICATE
     )

@@ -1,4 +1,4 @@
-"""From a lattice of blocks to nodes: cubic splines, read where sight lines meet the surface."""
+"""From a lattice of blocks to nodes: fill holes, fit cubic splines, read them where sight lines meet z."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,18 +11,19 @@ from wavefield.compiled import compiled
 
 Float = NDArray[Any]
 Mask = NDArray[Any]
-READING_TOLERANCE = 2e-3  # blocks: last correction of an elevation, of which the slope is known to a tenth
-Weights = tuple[np.float32, np.float32, np.float32, np.float32]  # of four blocks in a row
+# blocks: largest correction in the last iteration for an elevation, after which a tenth of it is left
+READING_TOLERANCE = 2e-3
+Weights = tuple[np.float32, np.float32, np.float32, np.float32]  # spline weights of four blocks in a row
 
 
 @dataclass(frozen=True)
 class BlockLattice:
     """Centres of blocks on a regular lattice in a plane, in metres or pixels."""
 
-    x0: float  # Position of block (0, 0)
+    x0: float  # position of block (0, 0)
     y0: float
-    step: float  # Distance between blocks, in the unit of x0 and y0
-    shape: tuple[int, int]  # Number of blocks (ny, nx)
+    step: float  # distance between blocks, in the unit of x0 and y0
+    shape: tuple[int, int]  # number of blocks (ny, nx)
 
     @property
     def x(self) -> NDArray[Any]:
@@ -37,7 +38,7 @@ class BlockLattice:
 
 @compiled()
 def _pull(fields: Float, weight: Float, sums: Float, total: Float) -> None:
-    """Sum squares of two by two blocks, without those of zero weight."""
+    """Sum fields and weights over squares of two by two blocks, without blocks of zero weight."""
     sums[:] = 0
     total[:] = 0
     for j in range(weight.shape[0]):
@@ -50,7 +51,7 @@ def _pull(fields: Float, weight: Float, sums: Float, total: Float) -> None:
 
 @compiled()
 def _push(coarse: Float, sums: Float, weight: Float, out: Float) -> None:
-    """The mean of each block; where it has no weight, the coarser means interpolated."""
+    """Write the mean of each block; where it has no weight, interpolate between the coarser means."""
     quarter = np.float32(0.25)
     for j in range(weight.shape[0]):
         for i in range(weight.shape[1]):
@@ -58,7 +59,7 @@ def _push(coarse: Float, sums: Float, weight: Float, out: Float) -> None:
                 for f in range(sums.shape[2]):
                     out[j, i, f] = sums[j, i, f] / weight[j, i]
             else:
-                # a quarter of a coarse block to either side of its centre
+                # the block's centre lies a quarter of a coarse block away from that of its coarse block
                 r, c = j // 2, i // 2
                 r2 = min(max(r + 2 * (j % 2) - 1, 0), coarse.shape[0] - 1)
                 c2 = min(max(c + 2 * (i % 2) - 1, 0), coarse.shape[1] - 1)
@@ -69,7 +70,7 @@ def _push(coarse: Float, sums: Float, weight: Float, out: Float) -> None:
 
 
 def push_pull(fields: Float, valid: Mask) -> Float:
-    """Fields (ny, nx, F) with the gaps of valid (ny, nx) filled by successively coarser means."""
+    """Fill fields (ny, nx, F) where `valid` (ny, nx) is False, by means over successively coarser blocks."""
     levels: list[tuple[Float, Float]] = [(fields, valid.astype(np.float32))]
     while min(levels[-1][1].shape) > 1 and not levels[-1][1].all():
         ny, nx = ((n + 1) // 2 for n in levels[-1][1].shape)
@@ -84,20 +85,26 @@ def push_pull(fields: Float, valid: Mask) -> Float:
 
 
 def spline_prefilter(shape: tuple[int, int]) -> Float:
-    """Gain from a field's cosines to those of its cubic spline, (ny, nx): 1 / (b_x b_y), b the B-spline."""
+    """Gain (ny, nx) from the cosine coefficients of a field to those of its cubic-spline coefficients.
+
+    It is 1 / (b_x b_y), with the gain b of a cubic B-spline at the blocks.
+    """
     ky, kx = (np.pi * np.arange(n) / n for n in shape)
     spline = ((2.0 + np.cos(ky)) / 3.0)[:, None] * ((2.0 + np.cos(kx)) / 3.0)
     return (1.0 / spline).astype(np.float32)
 
 
 def interpolation_gain(q: Float) -> Float:
-    """Gain of reading a field between its blocks from a cubic spline; q along one axis, rad per block."""
+    """Mean gain of cubic-spline interpolation between blocks, at wavenumbers q along one axis, rad/block."""
     spline = np.sinc(q / (2 * np.pi)) ** 4 * 3.0 / (2.0 + np.cos(q))
     return np.where(np.abs(q) < np.pi, spline, 0.0)
 
 
 def local_coefficients(fields: Float) -> Float:
-    """Cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), to 1e-3: cut off after seven blocks."""
+    """Cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), by a filter cut off after seven blocks.
+
+    The error is below 1e-3 of the field.
+    """
     pole = np.sqrt(3.0) - 2.0
     kernel = np.sqrt(3.0) * pole ** np.abs(np.arange(-7.0, 8.0))
     reflected = {"kernelX": kernel, "kernelY": kernel, "borderType": cv2.BORDER_REFLECT}
@@ -106,7 +113,7 @@ def local_coefficients(fields: Float) -> Float:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_weights(t: np.float32) -> Weights:
-    """Weights of four blocks for a fraction t of the way from the second to the third."""
+    """Cubic B-spline weights of four blocks at the fraction t of the way from the second to the third."""
     s = np.float32(1.0) - t
     w0 = s * s * s * np.float32(1 / 6)
     w3 = t * t * t * np.float32(1 / 6)
@@ -116,7 +123,7 @@ def spline_weights(t: np.float32) -> Weights:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_slopes(t: np.float32) -> Weights:
-    """Derivatives of `spline_weights`."""
+    """Derivatives of `spline_weights` with respect to t, per block."""
     s = np.float32(1.0) - t
     w0, w3 = np.float32(-0.5) * s * s, np.float32(0.5) * t * t
     w1 = np.float32(3.0) * w3 - np.float32(2.0) * t
@@ -125,7 +132,7 @@ def spline_slopes(t: np.float32) -> Weights:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32:
-    """Weighted sum of four neighbours along x from element k on (unsigned, which skips a sign check)."""
+    """Weighted sum of four elements from k on, `step` apart (unsigned indices save numba a sign check)."""
     out: np.float32 = (
         w[0] * c[k] + w[1] * c[k + step] + w[2] * c[k + step + step] + w[3] * c[k + step + step + step]
     )
@@ -134,7 +141,7 @@ def spline_line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights, wy: Weights) -> np.float32:
-    """Value of one field from four by four coefficients, the first of which is element k."""
+    """Value of one field from four by four coefficients, of which k is the first."""
     return (
         wy[0] * spline_line(c, k, step, wx)
         + wy[1] * spline_line(c, k + down, step, wx)
@@ -145,10 +152,10 @@ def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def place_of(p: float, n: int) -> tuple[int, np.float32]:
-    """Block to the left of a position and the distance from it, kept one block inside the lattice."""
+    """Split a position, in blocks, into a block and the distance beyond it; one block inside the lattice."""
     lowest, highest = np.float32(1.0), np.float32(n) - np.float32(2.001)
     q = min(max(np.float32(p), lowest), highest)
-    i: Any = np.int32(max(lowest, q))  # of two, `max` returns the first beside a NaN
+    i: Any = np.int32(max(lowest, q))  # max(lowest, NaN) is lowest
     return i, q - np.float32(i)
 
 
@@ -163,7 +170,7 @@ def _read_along_lines(
     height: Float,
     out: Float,
 ) -> None:
-    """Elevation (n,) where sight lines to places x, y (n,) on z = 0 pass a height (n,)."""
+    """Write the spline's elevation (n,) at the apparent positions of points x, y, height (n,)."""
     x0, y0, across = lattice
     cx, cy, cz = centre
     ny, nx = shape
@@ -187,16 +194,16 @@ def _read_surface(
     tolerance: np.float32,
     out: Float,
 ) -> None:
-    """Fill out (rows, n); the nodes of a row are independent, so that the loop vectorises."""
+    """Compute `read_surface` for out (rows, n); the loops run along rows, so that they vectorise."""
     n = x.shape[1]
     before, height, found = np.zeros(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
     half = np.float32(0.5)
-    for row in range(len(x)):  # begins from the row before
+    for row in range(len(x)):  # the previous row is the first guess
         _read_along_lines(c, shape, x[row], y[row], lattice, centre, before, height)
         for _ in range(30):
             _read_along_lines(c, shape, x[row], y[row], lattice, centre, height, found)
             largest = np.float32(0)
-            for k in range(n):  # a secant: the slope of the surface along the line of sight
+            for k in range(n):  # secant method: `slope` is that of the surface along the sight line
                 change, rest = height[k] - before[k], found[k] - height[k]
                 slope = min(max(rest / change if change != 0 else np.float32(0), -half), half)
                 more = rest * slope / (np.float32(1) - slope)
@@ -211,8 +218,10 @@ def _read_surface(
 def read_surface(
     spline: Float, lattice: BlockLattice, centre: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
 ) -> Float:
-    """Elevation at places x, y (ny, nx), metres, of a spline on the lattice.
-    Solves x = x_a + D_a(x_a) z(x_a): with straight rays x_a = c + (x - c) / (1 - z / c_z).
+    """Elevation at places x, y (ny, nx), metres, from spline coefficients on a lattice of apparent positions.
+
+    Solves x = x_a + D_a(x_a) z(x_a) for the apparent position x_a; with the camera centre c,
+    x_a = c + (x - c) / (1 - z / c_z).
     """
     out = np.empty(x.shape, np.float32)
     place = lattice.x0, lattice.y0, 1.0 / lattice.step
@@ -225,8 +234,9 @@ def read_surface(
 def blocks_below(
     lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Number of the block in which the camera sees each place x, y, z (ny, nx), metres, or of the nearest;
-    and whether it sees it in a block.
+    """Number of the block nearest to the apparent position of x, y, z (ny, nx), and whether it is inside.
+
+    x, y, z are in metres; `centre` (3,) is that of the camera.
     """
     shrink = 1.0 / (1.0 - z / centre[2])
     row, column = (

@@ -1,4 +1,4 @@
-"""Amplitude gain of the measurement for waves, by linear theory: MAP estimate and interpolation."""
+"""Amplitude gain of the measurement for waves, by linear theory: MAP estimate and interpolation to nodes."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ from wavefield.measurement.regrid import interpolation_gain
 
 Float = NDArray[np.floating[Any]]
 
-PLACES = 3  # along x and along y, at which the gain of velocities is taken
-DIRECTIONS = 8  # of crests, over half a turn: along x, along y and between
-WAVENUMBERS = 200  # up to the corner of those that the grid resolves
+PLACES = 3  # positions along x and along y over which the gain of velocities is averaged
+DIRECTIONS = 8  # directions in the stored table, over half a turn
+WAVENUMBERS = 200  # wavenumbers in the stored table, up to the diagonal Nyquist wavenumber of the grid
 
 
 def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str, Float]:
-    """Gains of z, u, v, w as they are stored with a cube, with ``direction`` (8,), rad, over half a turn."""
+    """Gains of z, u, v, w as stored with a cube: ``gain_z`` ... (8, 200); NaN if unknown.
+
+    The table includes ``direction`` (8,), rad, over half a turn, and ``k`` (200,), rad/m.
+    """
     k = np.linspace(0, np.sqrt(2) * np.pi / geometry.grid.step, WAVENUMBERS)
     direction = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     unknown = np.full((DIRECTIONS, WAVENUMBERS), np.nan)
@@ -40,23 +43,24 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
     Parameters
     ----------
     geometry : GridGeometry
-        Of the measurement.
+        Rig, grid and settings of the measurement.
     record : LearnedRecord
-        Its learned record.
+        The learned record of the measurement.
     kx, ky : ndarray
         Wavenumbers, rad/m.
 
     Returns
     -------
     dict of str to ndarray
-        z, u, v and w, each of the wavenumbers' shape; without the gain of paths in time (`time_weights`).
+        Gains of z, u, v and w, each with the shape of the wavenumbers. The gain of interpolation in time
+        (`path_gain`) is not included.
 
     Notes
     -----
-    The MAP field has the gain S / (S + N), with the spectrum S and the noise N of the blocks that
-    were learned from sample frames; for velocities that of each camera's displacement in its own pixels,
-    then the least squares of all, as the mean over the grid: at grazing sight pixels are several times as
-    long far away as near.
+    The MAP field has the gain S / (S + N), with the learned spectrum S and noise N of the blocks. For
+    velocities, this gain applies to the displacement of each camera in its own pixels; least squares over the
+    cameras then gives that of u, v, w. It is averaged over the grid, because an oblique camera has much
+    longer pixels on the water far away than near.
     """
     velocity = gain_of_velocity(geometry, record, kx, ky)
     out = {name: velocity[..., i, i] for i, name in enumerate("uvw")}
@@ -64,7 +68,7 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
 
 
 def shortest_carried(geometry: GridGeometry, record: LearnedRecord) -> dict[str, float]:
-    """Wavelength at which the gain of z, u, v, w is one half, mean over directions, metres."""
+    """Wavelength at which the gain of z, u, v, w, averaged over directions, is one half, metres."""
     k = np.linspace(0.0, np.pi / geometry.grid.step, 600)
     angle = np.arange(8)[:, None] * np.pi / 8
     kx, ky = k * np.cos(angle), k * np.sin(angle)
@@ -82,7 +86,7 @@ def gain_of_elevation(geometry: GridGeometry, record: LearnedRecord, kx: Float, 
 
 
 def gain_of_velocity(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
-    """Matrix from true to measured (dx, dy, dz), S + (3, 3), at wavenumbers kx, ky of shape S, rad/m."""
+    """Matrix S + (3, 3) from true to measured (dx, dy, dz), at wavenumbers kx, ky of shape S, rad/m."""
     x, y = (np.linspace(*side, 2 * PLACES + 1)[1::2] for side in (geometry.grid.x, geometry.grid.y))
     gains = [_gain_of_velocity_at(place, geometry, record, kx, ky) for place in product(x, y)]
     return np.asarray(np.mean(gains, axis=0))
@@ -91,6 +95,7 @@ def gain_of_velocity(geometry: GridGeometry, record: LearnedRecord, kx: Float, k
 def _gain_of_velocity_at(
     place: tuple[float, float], geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float
 ) -> Float:
+    """The matrix of `gain_of_velocity` at one place (x, y), metres."""
     jacobians: list[Any] = [
         geometry.sights[name].camera.jacobian(*place, 0.0) for name, _ in record.displacement
     ]
@@ -105,6 +110,6 @@ def _gain_of_velocity_at(
 
 
 def _gain_between_blocks(prior: Prior, qx: Float, qy: Float) -> Float:
-    """Gain of the MAP field, (1 or c,) + S, read between the blocks; wavenumbers S in rad per block."""
+    """Gain (1 or c,) + S of the MAP field interpolated between blocks; wavenumbers S in rad per block."""
     gain: Float = prior.gain(qx, qy)
     return gain * interpolation_gain(qx) * interpolation_gain(qy)

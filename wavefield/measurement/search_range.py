@@ -1,4 +1,4 @@
-"""Search ranges of displacements and elevations, found in the record before the measurement."""
+"""Search ranges of displacements and elevations, found in some frames before a record is measured."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from wavefield.measurement.settings import Settings
 
 @dataclass(frozen=True)
 class FirstGuess:
-    """Range of displacements from frame to frame, from a coarse search."""
+    """Range of the displacements from frame to frame, from a coarse search with large patches."""
 
-    x: tuple[float, float]  # smallest and largest displacement, px of the image as it is matched
-    y: tuple[float, float]
-    found: int  # patches of images that were found again, and all that were searched for
-    tried: int
+    x: tuple[float, float]  # smallest and largest displacement along x, px of the binned image
+    y: tuple[float, float]  # the same along y
+    found: int  # patches that were found in the next frame
+    tried: int  # patches that were searched for
 
     def search(self, usual: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Search ranges along x and y, px; None if the usual ones suffice or no patch was found."""
+        """Search ranges along x and y, px; None if the usual range suffices or no patch was found."""
         if not self.found:
             return None
         if all(low >= usual[0] and high <= usual[1] for low, high in (self.x, self.y)):
@@ -37,7 +37,7 @@ class FirstGuess:
 
     @property
     def sentence(self) -> str:
-        """The range as a sentence."""
+        """The range of displacements as a sentence for the user."""
         if self.found < 0.1 * self.tried:
             return (
                 f"motion: only {self.found} of {self.tried} patches of images are found in the next frame; "
@@ -53,7 +53,7 @@ class FirstGuess:
 def first_guess(
     read: Callable[[str, int], NDArray[np.float32] | None], cameras: Sequence[str], steps: Sequence[int]
 ) -> FirstGuess:
-    """Range of the displacements in some steps of a record."""
+    """Range of the displacements in some steps; `read(camera, frame)` returns an image or None."""
     kept: list[NDArray[np.float64]] = []
     tried = 0
     for step in steps:
@@ -72,7 +72,7 @@ def first_guess(
 
 
 def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
-    """Settings with a search range that includes the motion of the water."""
+    """Settings with a search range for displacements that includes the guess."""
     piv = settings.piv
     wide = guess.search(searched(settings)[0])
     if wide is None:
@@ -81,36 +81,34 @@ def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
 
 
 def searched(settings: Settings) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Displacements that matching in time reaches, along x and y, px."""
-    reach = (-4.0, 4.0)  # of the pyramid without a search, px
+    """Range of displacements that matching in time covers, along x and y, px."""
+    reach = (-4.0, 4.0)  # px: what the pyramid covers without a search
     return settings.piv.search_x or reach, settings.piv.search_y or reach
 
 
-COARSE_PX = 2  # averaged along each side: how differently cameras see a bead matters less
-PATCH_COARSE_PX = 48  # side of the patches that are searched for
-MAX_EPIPOLAR_COARSE_PX = 5.0
-SEARCH_FACTOR = 5.0  # on the usual range of elevations
-MAX_FILLED_RANGE = 0.6  # of the usual range in samples: water that fills more exceeds it in a long record
-MARGIN = 0.3  # of the span that was found, added on either side, or half of the usual range
+COARSE_PX = 2  # side of a coarse pixel, rectified px: differences between the cameras' beads matter less
+PATCH_COARSE_PX = 48  # side of the patches, coarse px
+MAX_EPIPOLAR_COARSE_PX = 5.0  # largest epipolar error of a patch, coarse px
+SEARCH_FACTOR = 5.0  # elevations searched here, over the geometry's range
+MAX_FILLED_RANGE = 0.6  # widen the range if sample frames fill more of it; a long record would exceed it
+MARGIN = 0.3  # added on either side, over the span that was found; at least half of the previous half range
 
 Read = Callable[[str, int], NDArray[Any] | None]
 
 
 @dataclass(frozen=True)
 class FirstHeights:
-    """Range of the elevations over the record."""
+    """Range of the elevations in some frames, from a coarse search with large patches."""
 
     z: tuple[float, float]  # lowest and highest elevation that was found, metres
-    found: int  # patches of images that were found in the other camera's, and all that were searched for
-    tried: int
-    searched: tuple[float, float]  # range that the run searches, metres
-    resolution: float = (
-        0.0  # of these elevations, a pixel of parallax: coarse where cameras are close together
-    )
+    found: int  # patches that were found in the image of another camera
+    tried: int  # patches that were searched for
+    searched: tuple[float, float]  # range that the measurement searches, metres
+    resolution: float = 0.0  # elevation of one coarse pixel of parallax, metres; large for close cameras
 
     @property
     def sentence(self) -> str:
-        """The range as a sentence."""
+        """The range of elevations as a sentence for the user."""
         low, high = (100 * z for z in self.searched)
         digits = max(1, 2 - math.floor(math.log10(high - low))) if high > low else 1
         searched = f"searched {low:+.{digits}f} to {high:+.{digits}f} cm"
@@ -133,8 +131,10 @@ class FirstHeights:
 
 
 def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> FirstHeights:
-    """Range of the elevations in some frames of a record, from patches of images rectified to z = 0.
-    A patch is searched for in another camera's image; the parallax is that of `match_pair`.
+    """Range of the elevations in some frames, from patches of images that are rectified to z = 0.
+
+    Every patch is searched for in the image of another camera; `read(camera, frame)` returns an image or
+    None. The elevation follows from the parallax as in `match_pair`.
     """
     kept: list[NDArray[np.float64]] = []
     tried = 0
@@ -157,7 +157,9 @@ def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> 
 
 
 def _resolution(geometry: GridGeometry) -> float:
-    """Elevation that corresponds to a parallax of one coarse pixel in the middle, metres."""
+    """Elevation with a parallax of one coarse pixel in the middle of the grid, metres; the largest of all
+    pairs.
+    """
     x, y = float(np.mean(geometry.grid.x)), float(np.mean(geometry.grid.y))
     step = COARSE_PX * geometry.pixel
     lines = {name: np.array(geometry.rig[name].sight_line(x, y)) for name in geometry.surface_cameras}
@@ -174,11 +176,12 @@ def _reach(pair: tuple[str, str], geometry: GridGeometry) -> tuple[int, int]:
 
 
 def _agreement(geometry: GridGeometry) -> float:
-    """Largest difference, metres, at which two elevations confirm each other."""
+    """Largest difference of two elevations that confirm each other, metres."""
     return max(0.25 * (geometry.z_range[1] - geometry.z_range[0]), 12 * geometry.pixel)
 
 
 def _coarse(image: NDArray[Any]) -> NDArray[np.float32]:
+    """Image with coarse pixels."""
     small = cv2.resize(
         image.astype(np.float32), None, fx=1 / COARSE_PX, fy=1 / COARSE_PX, interpolation=cv2.INTER_AREA
     )
@@ -188,7 +191,7 @@ def _coarse(image: NDArray[Any]) -> NDArray[np.float32]:
 def _heights(
     moved: NDArray[np.float64], pair: tuple[str, str], geometry: GridGeometry
 ) -> NDArray[np.float64]:
-    """Elevations of patches (n, 5) of `shifts`, metres, without those of large epipolar error."""
+    """Elevations, metres, of the patches (n, 5) from `shifts`, without those with a large epipolar error."""
     step = COARSE_PX * geometry.pixel
     half = 0.5 * (COARSE_PX - 1) * geometry.pixel
     x, y = (origin + half + step * at for origin, at in zip(geometry.plane.origin, moved[:, 3:].T))
@@ -205,7 +208,7 @@ def _heights(
 
 
 def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, FirstHeights]:
-    """Settings with a search range that includes the elevations of the water."""
+    """Settings with a range of elevations that includes those found; and `found` with this range."""
     low, high = found.searched
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if not found.found or all(abs(z - middle) < MAX_FILLED_RANGE * half for z in found.z):
@@ -219,7 +222,7 @@ Images = Mapping[str, NDArray[Any] | None]
 
 
 def search_widened(pairs: Sequence[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
-    """The geometry with search ranges found in some steps; unchanged if its own suffice."""
+    """The geometry with search ranges found in the frames of some steps; the same object if they suffice."""
 
     def read(name: str, frame: int) -> NDArray[Any] | None:
         image = pairs[frame // 2][frame % 2].get(name)
@@ -238,12 +241,12 @@ def search_widened(pairs: Sequence[tuple[Images, Images]], geometry: GridGeometr
     return GridGeometry(geometry.rig, geometry.grid, settings, geometry.covered)
 
 
-BORDER_FRACTION = 0.03  # of the range of elevations at either end
-MIN_FRACTION_AT_BORDER = 0.01  # of the nodes
+BORDER_FRACTION = 0.03  # part of the search range, at either end, that counts as its border
+MIN_FRACTION_AT_BORDER = 0.01  # fraction of the nodes there at which the range is too small
 
 
 def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
-    """Whether a surface z (ny, nx), metres, touches an end of its search range.
+    """Whether more than 1 % of the elevations z (ny, nx), metres, lie at an end of the search range.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Settings of the measurement that a user may choose."""
+"""Settings of the measurement: the keys under `settings` of an experiment file, and their presets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wavefield import matching
 from wavefield.config_files import CHECKED, file_and_line, make
 from wavefield.errors import ExperimentError
 
-# Differences from the defaults, which are for floating beads.
+# Presets, as differences from the defaults. The defaults are for floating beads.
 _PRESETS: dict[str, dict[str, Any]] = {
     "floating": {"stereo": {}, "piv": {}},
     "sheet": {
@@ -21,7 +21,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
     "texture": {
         "stereo": {"window": 36.0, "min_correlation": 0.3, "max_deviation": 5.0},
         "piv": {"window": 24.0, "min_correlation": 0.3},
-        "eps_limit": 5.0,  # the mismatch grows with the distance of the water
+        "eps_limit": 5.0,  # on the open sea, the epipolar error grows with the distance of the water
     },
 }
 _STEREO = matching.MatchSettings(
@@ -48,34 +48,35 @@ _PIV = matching.MatchSettings(
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings by which frames become z, u, v, w. Everything that is left out follows from the rig.
+    """Settings of the measurement. Defaults that are None or empty are derived from the rig.
 
     Parameters
     ----------
     pairs : tuple of (str, str)
-        Pairs of cameras that give z; all contain one camera, the reference. Default: the middle camera with
-        each other one.
+        Pairs of cameras that measure z; all contain one common camera, the reference. Default: the middle
+        camera with each other one.
     velocity_cameras : tuple of str
-        Two or more cameras that give u, v, w. Default: all.
+        Two or more cameras that measure u, v, w. Default: all.
     z_range : (float, float) or None
-        Elevations to search, m. Default: at least 2 % of the reference camera's distance, up and down.
+        Lowest and highest elevation to search, m. Default: at least 2 % of the reference camera's distance,
+        up and down.
     sheet_thickness : float or None
-        Thickness of a light sheet on z = 0, m. Default: a surface.
+        Thickness of a light sheet on z = 0, m. Default: None, a water surface.
     bead_height : float
         Height of the visible part of a bead above the water, m; corrects u and v for its tilt, not z.
     pixel : float or None
-        Pixel of the rectified images, m. Default: that of the coarsest camera, reduced to as little as half
-        if blocks of 5 px would exceed 0.8 grid steps.
+        Side of a pixel of the rectified images, m. Default: that of the coarsest camera, reduced to as little
+        as half if blocks of 5 px would exceed 0.8 grid steps.
     eps_limit : float
-        Matches beyond this many times the rms of the epipolar error are rejected.
+        Matches with an epipolar error above this many times its rms are rejected.
     row_delays : tuple of (str, float)
-        Camera and ``row_time`` in frame intervals; `run` fills it in.
+        Camera and ``row_time`` in frame intervals, for rolling shutters; `run` fills it in.
     vibration : {"leave", "correct"}
-        correct: remove constant, tilt and roll of each frame's epipolar error.
+        correct: remove the constant and linear part of the epipolar error of every frame.
     stereo : matching.MatchSettings
         Matching between cameras; its search range is set from z_range.
     piv : matching.MatchSettings
-        Matching between frames.
+        Matching from frame to frame.
 
     Examples
     --------
@@ -136,13 +137,13 @@ class Settings:
                 )
 
     def adjusted(self, preset: str) -> Settings:
-        """These settings for other images.
+        """These settings, changed by a preset for another kind of images.
 
         Parameters
         ----------
         preset : {"floating", "sheet", "texture"}
-            Floating beads (as it is); particles that come and go in a light sheet, weakly correlated;
-            natural texture, as of the sea.
+            floating: beads, no change. sheet: particles that enter and leave a light sheet, so that frames
+            are weakly correlated. texture: a natural surface, such as the sea.
 
         Returns
         -------
@@ -163,24 +164,24 @@ class Settings:
         Returns
         -------
         dict
-            Names to numbers, strings, lists and, for the two matchings, dicts.
+            Setting names to numbers, strings and lists; ``stereo`` and ``piv`` are dicts.
         """
         out: dict[str, Any] = _plain(asdict(self))
-        if not self.row_delays:  # recipes from before there were any have none
+        if not self.row_delays:  # older recipes have no such key
             del out["row_delays"]
         return out
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], path: Path | None = None) -> Settings:
-        """Inverse of `to_dict`; what is left out keeps its default.
+        """Inverse of `to_dict`; missing settings keep their defaults.
 
         Parameters
         ----------
         data : mapping
-            Names to values; ``stereo`` and ``piv`` may name only what differs. ``preset`` starts from those
-            of `adjusted` instead of the defaults.
+            Setting names to values. ``stereo`` and ``piv`` need only the settings that differ. With
+            ``preset``, the defaults are those of `adjusted`.
         path : path, optional
-            The file whose ``settings`` they are, to be named with the line at fault.
+            The file that contains these settings; error messages name it with the line.
 
         Returns
         -------
@@ -189,7 +190,7 @@ class Settings:
         Raises
         ------
         ExperimentError
-            If a name is unknown or a value does not fit.
+            If a setting is unknown or its value is not valid.
         """
         values: dict[str, Any] = dict(data)
         preset = values.pop("preset", "floating")
@@ -207,6 +208,7 @@ class Settings:
 
 
 def _plain(value: object) -> Any:
+    """Convert nested tuples to lists."""
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, (tuple, list)):

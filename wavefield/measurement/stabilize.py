@@ -1,9 +1,9 @@
-"""Frames of cameras that shake, turned back before they are measured: `settings: {vibration: correct}`.
+"""Correct frames of cameras that shake before they are measured: `settings: {vibration: correct}`.
 
-The part of the epipolar error between one camera and each other one that is constant or linear over the field
-is measured in every frame, and taken off by an affine map of the raw image, across the sight lines. Motion
-along the sight lines cannot be separated from that of the water. The correction of a frame follows from its
-images alone, so chunks and workers do not matter.
+In every frame, the part of the epipolar error between the reference and each other camera that is constant or
+linear over the field is measured. An affine map of the raw image removes it, across the sight lines. Motion
+along the sight lines cannot be separated from that of the water. The correction of a frame uses the images of
+this frame alone, so it does not depend on chunks or workers.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from wavefield.variables import AROUND
 Array = NDArray[Any]
 Images = Mapping[str, Array | None]
 
-BLOCKS_APART = 5  # blocks: nearer ones share their window
-MIN_FITTED_BLOCKS = 40  # of these, to correct a frame: ten for each of three coefficients, and outliers
-MIN_COSINE = 0.9  # 25 degrees: cameras in a row share the direction across their sight lines
+BLOCKS_APART = 5  # step between the blocks that are used: closer ones share their window
+MIN_FITTED_BLOCKS = 40  # fewest blocks for a fit: ten for each of three coefficients, and ten outliers
+MIN_COSINE = 0.9  # 25 degrees: largest angle between the directions across the sight lines of two pairs
 
 
 def refuse_unless_in_a_row(geometry: GridGeometry) -> None:
-    """Raise an error unless the pairs of cameras share the direction across their sight lines."""
+    """Raise ExperimentError unless all pairs have about the same direction across their sight lines."""
     x, y = np.mean(geometry.grid.x), np.mean(geometry.grid.y)
     first, *others = geometry.pairs
     for pair in others:
@@ -47,15 +47,15 @@ def refuse_unless_in_a_row(geometry: GridGeometry) -> None:
 
 
 def steady(frames: Mapping[str, Sequence[Array | None]], geometry: GridGeometry) -> dict[str, SteadyFrames]:
-    """Corrected frames of all cameras, each made when it is first read."""
+    """Corrected frames of every camera; each is computed when it is first read."""
     kept: dict[int, dict[str, Array | None]] = {}
     return {name: SteadyFrames(name, frames, geometry, kept) for name in frames}
 
 
 class SteadyFrames(Sequence["Array | None"]):
-    """Corrected frames of one camera; the cameras share the last few."""
+    """Corrected frames of one camera; all cameras share a cache of the last few frames."""
 
-    _KEEP = 2 * AROUND + 2  # as many as a step uses
+    _KEEP = 2 * AROUND + 2  # frames in the cache: as many as a step uses
 
     def __init__(
         self,
@@ -79,7 +79,7 @@ class SteadyFrames(Sequence["Array | None"]):
 
 
 def corrected(images: Images, geometry: GridGeometry) -> dict[str, Array | None]:
-    """Raw images (row, column) of one moment, shifted back; as they are where the shift is not determined."""
+    """Raw images (row, column) of one instant, corrected; unchanged if the shift cannot be determined."""
     out = dict(images)
     for name, shift in _shifts(images, geometry).items():
         image = images[name]
@@ -89,8 +89,9 @@ def corrected(images: Images, geometry: GridGeometry) -> dict[str, Array | None]
 
 
 def _shifts(images: Images, geometry: GridGeometry) -> dict[str, Array]:
-    """Shift of each camera across the sight lines: at the middle, and its change to the right and upper edge.
-    Each (3,), px on the water, over the median of the cameras.
+    """Shift (3,) of every camera across the sight lines, px on the water, less the median of all cameras.
+
+    The three numbers are the shift in the middle of the field, and its change to the right and upper edge.
     """
     flat = {}
     for name in geometry.surface_cameras:
@@ -115,13 +116,13 @@ def _shifts(images: Images, geometry: GridGeometry) -> dict[str, Array]:
 
 
 def _linear(x: Array, y: Array) -> Array:
-    """The functions 1, x and y of a field (ny, nx, 3), x and y from -1 to 1."""
+    """Regressors 1, x and y (..., 3), with x and y scaled to -1 ... 1."""
     scaled = [2 * (v - v.min()) / max(np.ptp(v), 1e-9) - 1 for v in (x, y)]
     return np.stack([np.ones_like(x), *scaled], axis=-1)
 
 
 def _huber(residual: Array) -> Array:
-    """Square roots of Huber's weights; the bound is two robust standard deviations."""
+    """Square roots of Huber's weights with a bound of two robust standard deviations."""
     miss = np.abs(residual)
     bound = 2.0 * (PER_MEDIAN * np.median(miss) + 1e-9)
     return np.asarray(np.sqrt(np.minimum(1.0, bound / np.maximum(miss, 1e-12))))
@@ -134,7 +135,7 @@ def _across(geometry: GridGeometry, pair: tuple[str, str], x: Any, y: Any) -> Ar
 
 
 def _moved_back(image: Array, shift: Array, name: str, geometry: GridGeometry) -> Array:
-    """A raw image (row, column) shifted back by its camera's motion, (3,) as from `_shifts`."""
+    """Shift a raw image (row, column) back by its camera's motion (3,), given as in `_shifts`."""
     x, y = np.meshgrid(geometry.lattice.x, geometry.lattice.y)
     size = (_linear(x, y) @ shift * geometry.pixel)[::8, ::8].ravel()
     x, y = x[::8, ::8].ravel(), y[::8, ::8].ravel()

@@ -1,6 +1,8 @@
 """From frames to z, z_t, u, v, w and their uncertainties: one step from top to bottom.
 
-images        remove the floor, compress, bin, rectify     `measure_instant`, images.py
+A step is the interval between two frames; an instant is the time of one frame. The stages of a step:
+
+images        remove the background, compress, bin         `measure_instant`, images.py
 elevation     match the pairs, z of one instant            `surface`, pair.py and elevation.py
 displacement  match each camera in time                    `flows`, displacement.py
 mid-time      z from six instants, in moving water         `z_at_mid_time`, midtime.py
@@ -54,8 +56,8 @@ from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
 Series = Mapping[str, Sequence[NDArray[Any] | None]]
 Mask = NDArray[np.bool_]
 
-SEARCHED_STEPS = 2  # of those learned from: the ranges to search are found in them
-MIN_MEASURED = 0.05  # of the nodes in view: a step with fewer counts as not measured
+SEARCHED_STEPS = 2  # sample steps in which search ranges are found, if no model is given
+MIN_MEASURED = 0.05  # least fraction of measured nodes in view; below, a step has no values
 
 
 Float = NDArray[np.floating]
@@ -71,27 +73,26 @@ def measure(
     departures: Float | None = None,
     terms: bool = False,
 ) -> dict[str, NDArray[Any]]:
-    """Turn a chunk of frames into a chunk of the cube.
+    """Measure z, z_t, u, v, w and their standard uncertainties in n steps: a chunk of the cube.
 
     Parameters
     ----------
     frames : mapping of str to sequence of n + 5 (ndarray or None)
-        Per camera, consecutive frames: two before the first step, the n + 1 frames of the n steps, two after
-        the last. None where a frame is absent, as at the ends of a record.
+        Consecutive frames of each camera: two before the first step, the n + 1 frames of the n steps, and two
+        after the last. None where a frame is missing, for instance at the ends of a record.
     geometry : GridGeometry
         Rig, grid and settings.
     frame_rate : float
         Frames per second, Hz.
     model : Model, optional
-        The learned record. If left out, it is learned from these frames, and another chunk of the
-        record would be weighted slightly differently. Then the ranges of displacements and elevations that
-        the settings do not state are found in these frames, too.
+        The learned record. By default it is learned from these frames, together with search ranges that the
+        settings do not give; other chunks of the record would then be weighted slightly differently.
     masks : mapping of str to sequence of n + 5 (ndarray of bool or None), optional
-        Per camera, for every frame, True where its pixels do not count.
+        True on pixels to ignore, for each camera and frame.
     departures : ndarray, (n + 5,), optional
-        By how much later than at even times each frame was taken, intervals; left out, times are even.
+        Delay of every frame relative to evenly spaced times, in frame intervals. Default: no delay.
     terms : bool, default False
-        Whether to return the terms of the standard uncertainties as well (`error_budget`).
+        Return the terms of the standard uncertainties as well (`error_budget`).
 
     Returns
     -------
@@ -106,12 +107,12 @@ def measure(
 
     Notes
     -----
-    With a model, every step has the same values, to the bit, whatever chunk it is in. A step
-    reads six frames: z at mid-time is from six surfaces, in a frame that moves with the mean flow
-    (`z_at_mid_time`), velocities are from four or six frames, as the record allows (`read_path`). Where a
-    neighbour is missing, ``quality`` has a bit for it. z_t is the surface's rise along the path less u . grad
-    z, so that the residual z_t - w + u . grad z is the difference between surfaces and displacements,
-    whatever the current.
+    With a given model, the values of a step do not depend on the chunk, to the bit. A step uses six frames: z
+    at mid-time is interpolated from six surfaces, in coordinates that move with the mean flow
+    (`z_at_mid_time`), and velocities follow from paths through four or six frames (`read_path`). If
+    neighbouring frames are missing, ``quality`` has a bit for it. z_t is the rise of the surface along the
+    path less u . grad z. The kinematic residual z_t - w + u . grad z is therefore the difference between the
+    rise from the surfaces and that from the displacements, whatever the current.
     """
     lengths = {len(frames[n]) for n in geometry.cameras if n in frames}
     if len(lengths) != 1 or min(lengths) < 2 * AROUND + 2:
@@ -131,7 +132,7 @@ def measure(
         if record is None:
             return out
         model = Model(geometry, record)
-    # steps either way whose displacements are needed
+    # number of steps before and after a step whose displacements are needed
     neighbours = frames_of_path(model.record.path_frames) // 2 - 1
     window: list[Instant] = []
     moves: list[Flows] = []
@@ -142,7 +143,7 @@ def measure(
         if AROUND - neighbours < number <= steps + AROUND + neighbours:
             first, second = (one.images for one in window[-2:])
             moves.append(flows(first.raw, second.raw, geometry.settings.piv, model))
-            del first, second  # they take most of the memory
+            del first, second  # frees most of the memory
         if number:
             window[-2] = window[-2].without_images()
         if len(window) == 2 * AROUND + 2:
@@ -157,10 +158,12 @@ def measure(
 
 
 def _pair(frames: Series, k: int) -> tuple[dict[str, NDArray[Any] | None], dict[str, NDArray[Any] | None]]:
+    """Frames k and k + 1 of every camera."""
     return {n: f[k] for n, f in frames.items()}, {n: f[k + 1] for n, f in frames.items()}
 
 
 def _empty(steps: int, geometry: GridGeometry) -> dict[str, NDArray[Any]]:
+    """Fields of the cube without values: NaN or 0, status failed."""
     out: dict[str, NDArray[Any]] = {}
     for name in CUBE_FIELDS:
         dtype = np.dtype(TABLE[name].dtype)
@@ -178,7 +181,7 @@ def _fill_step(
     frame_rate: float,
     times: Float,
 ) -> None:
-    """Fill the fields (ny, nx) and the status (1,) of one step; what cannot be measured stays NaN."""
+    """Fill the fields (ny, nx) and the status (1,) of one step; nodes that cannot be measured stay NaN."""
     _, before, first, second, after, _ = window
     missing = first.images.missing | second.images.missing
     out["quality"] |= _left_out_bits(missing, geometry)
@@ -207,7 +210,7 @@ def _fill_step(
         out["quality"][measured] ^= np.uint16(Quality.MEASURED | Quality.FILLED)
         return
     fields = _fields(estimate, geometry, model, frame_rate, times)
-    for name in ("z", "u", "v", "w"):  # implausible: the value is as uncertain as it is large
+    for name in ("z", "u", "v", "w"):  # implausible values get a standard uncertainty equal to their size
         fields[f"{name}_std"] = np.where(out_of_range, np.abs(fields[name]), fields[f"{name}_std"])
     for name, values in fields.items():
         if name in out:
@@ -216,7 +219,7 @@ def _fill_step(
 
 
 def _left_out_bits(cameras: Collection[str], geometry: GridGeometry) -> np.uint16:
-    """Bits of `Quality` for nodes measured without some camera."""
+    """Bits of `Quality` for nodes that were measured without these cameras."""
     bits = Quality(0)
     for name in cameras:
         bits |= Quality.without(geometry.cameras.index(name))
@@ -224,14 +227,14 @@ def _left_out_bits(cameras: Collection[str], geometry: GridGeometry) -> np.uint1
 
 
 def _out_of_range(surfaces: Surfaces, geometry: GridGeometry) -> Mask:
-    """Nodes at which a surface is outside the search range, (ny, nx)."""
+    """True for nodes at which one of the surfaces lies outside the search range, (ny, nx)."""
     lowest, highest = geometry.z_range
     outside = [(one.z < lowest) | (one.z > highest) for one in surfaces if one is not None]
     return np.asarray(np.logical_or.reduce(outside))
 
 
 def _quality(estimate: StepEstimate, out_of_range: Mask) -> NDArray[np.uint16]:
-    """Bits of `Quality` of a step, (ny, nx), other than masked and outside."""
+    """Bits of `Quality` of a step, (ny, nx), except those for masked nodes and nodes outside the view."""
     first, second = estimate.nearest
     quality = first.quality | second.quality | estimate.motion.quality
     quality[out_of_range] |= np.uint16(Quality.REJECTED_RANGE | Quality.FILLED)
@@ -277,14 +280,14 @@ def _fields(
 class Instant:
     """The surface of one instant, with its images for matching in time."""
 
-    surface: Surface | None  # Elevation at the nodes; None if it could not be measured
+    surface: Surface | None  # elevation at the nodes; None if it could not be measured
     images: Images
-    frames: Frames  # The frames themselves, should a camera have to be left out
+    frames: Frames  # the raw frames, from which z is measured again if a camera must be left out
     masks: Masks
     _without: dict[str, Surface | None] = field(default_factory=dict)
 
     def without(self, camera: str, geometry: GridGeometry, model: Model) -> Surface | None:
-        """Elevation at the nodes without a camera."""
+        """Surface measured without one camera."""
         if camera not in self._without:
             rest = {name: image for name, image in self.frames.items() if name != camera}
             ready_frames = usable_frames(rest, geometry, dict(model.record.beads), self.masks)
@@ -293,7 +296,7 @@ class Instant:
         return self._without[camera]
 
     def without_images(self) -> Instant:
-        """The same without the images for matching in time, which take most of the memory."""
+        """The instant without its images for matching in time, which take most of the memory."""
         return replace(self, images=replace(self.images, raw={}))
 
 
@@ -304,7 +307,7 @@ def measure_instant(
     masks = masks or {}
     covered = covered_in(masks, geometry)
     ready_frames = usable_frames(frames, geometry, dict(model.record.beads), masks)
-    # the rectified images are dropped before those for matching in time are made: either takes 20 MB
+    # the rectified images are freed before those for matching in time are made: each set takes 20 MB
     found = surface(rectified_images(ready_frames, geometry, covered), geometry, model.elevation)
     return Instant(found, with_raw_images({}, ready_frames, geometry, covered), frames, masks)
 
@@ -316,7 +319,8 @@ def estimate_step(
     model: Model,
     times: Float,
 ) -> StepEstimate | None:
-    """Surfaces and motion of a step; None if the step cannot be measured.
+    """Surfaces and motion of a step, without a camera that contradicts the others; None if not measured.
+
     Times of the six frames are in intervals from mid-time.
     """
     surfaces: Surfaces = [instant.surface for instant in window]
@@ -343,7 +347,10 @@ def _estimate(
     times: Float,
     may_leave_out: bool = True,
 ) -> StepEstimate | None:
-    """Motion and surface at mid-time, iterated: each depends on the other."""
+    """Motion and surface at mid-time; None if not measured.
+
+    With rolling shutters both are computed again, because each depends on the other.
+    """
     first, second = surfaces[AROUND : AROUND + 2]
     assert first is not None
     assert second is not None
@@ -361,7 +368,7 @@ def _estimate(
         return None
     if late is not None:
         z = _without_shutters(shown, motion, geometry)
-    if geometry.settings.sheet_thickness is not None:  # it does not rise
+    if geometry.settings.sheet_thickness is not None:  # a light sheet does not rise
         rise = np.zeros_like(z)
     else:
         rise = rise_of_water(first, second, motion, flow, geometry.x, geometry.y)
@@ -369,12 +376,12 @@ def _estimate(
 
 
 def _departure(orders: Sequence[Float], frames: NDArray[np.uint8]) -> float:
-    """Mean square difference between z from six frames and from four, m^2; 0 if no node has six."""
+    """`MidTime.departure`: robust variance of z from six frames minus z from four, m^2; 0 without six."""
     return robust_std((orders[0] - orders[1])[frames == 6]) ** 2 if len(orders) > 2 else 0.0
 
 
 def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float:
-    """Surface (ny, nx), metres, corrected for rolling shutters."""
+    """Elevation (ny, nx), metres, corrected for rolling shutters (`elevation_errors`)."""
     measured = np.isfinite(motion.d).all(axis=0)
     error, (x, y) = elevation_errors(z, np.where(measured, motion.d, 0.0), geometry)
     z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))

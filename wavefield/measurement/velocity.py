@@ -1,4 +1,4 @@
-"""Motion of the water at the nodes by least squares over the cameras: one pass over all fields."""
+"""Motion of the water at the nodes, by weighted least squares over the cameras."""
 
 from __future__ import annotations
 
@@ -24,22 +24,25 @@ from wavefield.measurement.settings import Settings
 from wavefield.variables import Quality
 
 Float = NDArray[Any]
-Matrix = tuple[Any, Any, Any, Any, Any, Any]  # numba's numbers: mypy does not follow its arithmetic
+Matrix = tuple[Any, Any, Any, Any, Any, Any]  # numbers in numba, whose arithmetic mypy does not follow
 
-LEAST_PIVOT = 1e-9  # of a diagonal: less, and the cameras do not determine a direction
+LEAST_PIVOT = 1e-9  # least pivot over its diagonal element at which the cameras determine all directions
 
 njit = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 
 
 @njit
 def _row(jacobian: Float, i: int, k: int) -> tuple[Any, Any, Any]:
+    """Row i of the Jacobian at node k, in double precision."""
     return np.float64(jacobian[i, 0, k]), np.float64(jacobian[i, 1, k]), np.float64(jacobian[i, 2, k])
 
 
 @njit
 def _factored(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Matrix:
-    """1/a, b/a, c/a, 1/d1, e1/d1, 1/f1 of a normal matrix [[a, b, c], [b, d, e], [c, e, f]].
-    The last is NaN where the cameras do not determine a direction.
+    """Factorise (L D L^T) a normal matrix [[a, b, c], [b, d, e], [c, e, f]].
+
+    Returns 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1, with the pivots a, d1, f1. The last is NaN if the cameras do not
+    determine all three directions.
     """
     lb, lc = b / a, c / a
     d1, e1 = d - b * lb, e - b * lc
@@ -71,9 +74,12 @@ def solve_nodes(
     axes: Float,
     out: Float,
 ) -> None:
-    """Fill out (16, n): d, chord, bend, noise variance of d (3 each), variance by the prior over parts,
-    eps = |J d - moved| / sqrt(2N), chi^2 / dof, and the factor on the noise where chi^2 exceeds its mean.
-    Float32 jacobian (2N, 3, n), others (2N, n); float64 parts (3,) and axes (N, 3).
+    """Solve for the motion at n nodes and write it to out (16, n).
+
+    The rows of out are: d, chord, bend, and the noise variance of d (three each); the variance of suppressed
+    waves over `parts`; eps = |J d - moved| / sqrt(2N); chi^2 per degree of freedom; and the factor, at least
+    1, by which it enlarges the noise. jacobian is (2N, 3, n) and the other fields are (2N, n), float32; parts
+    (3,) and axes (N, 3) are float64.
     """
     rows, n = moved.shape
     weight = np.empty(rows)
@@ -82,7 +88,7 @@ def solve_nodes(
         px = py = pz = qx = qy = qz = 0.0
         removed = total = cameras = 0.0
         for i in range(rows):
-            first, second = i - i % 2, i - i % 2 + 1  # the camera's rows, along X and Y
+            first, second = i - i % 2, i - i % 2 + 1  # rows of this camera along X and Y
             seen = np.isfinite(moved[first, k]) and np.isfinite(moved[second, k])
             n0, n1, m0, m1 = noise[first, k], noise[second, k], missing[first, k], missing[second, k]
             w = 2.0 / np.float64(n0 + n1 + m0 + m1) if seen else 0.0
@@ -109,7 +115,7 @@ def solve_nodes(
         for i in range(rows):
             w = weight[i]
             x, y, z = _row(jacobian, i, k)
-            # a point that moves away at constant speed slows down in the image
+            # a point that moves away from the camera at constant speed slows down in the image
             away = axes[i // 2, 0] * cx + axes[i // 2, 1] * cy + axes[i // 2, 2] * cz
             steady = np.float32(np.float64(bend[i, k]) + 0.25 * away * np.float64(chord[i, k]))
             s = w * np.float64(steady) if w > 0.0 else 0.0
@@ -134,32 +140,29 @@ def solve_nodes(
         out[15, k] = max((1.0 + chi2) / (1.0 + freedom), 1.0) if ok else np.nan
 
 
-# Of u, v, w by deep-water waves in all directions: they move the water along as much as up and down.
+# Relative variances of u, v, w in deep-water waves from all directions: circular orbits have as much
+# horizontal as vertical motion.
 WAVE_VARIANCES = np.array([0.5, 0.5, 1.0])
-_NODES_FOR_MEAN_FLOW = 500
+_NODES_FOR_MEAN_FLOW = 500  # about as many nodes suffice for a median
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Displacement per step of the surface water at the nodes, at mid-time."""
+    """Motion of the particles that are at the nodes at mid-time; displacements are per step."""
 
-    d: Float  # (3, ny, nx): (dx, dy, dz), metres; NaN where fewer than two cameras see the node
-    noise: Float  # (3, ny, nx): variance of d by noise, and of waves that the prior removes, m^2
-    missing: Float
-    eps_piv: Float  # (ny, nx): misfit of the cameras' displacements, px
-    # (ny, nx): chi^2 of the misfit per degree of freedom; NaN where fewer than two cameras see the node
-    misfit: Float
-    noise_factor: (
-        Float  # (ny, nx): factor on the variance of noise by the misfit, at least 1; NaN as the misfit
-    )
-    # (ny, nx): bits of `Quality`: why a camera's displacement was rejected; `FILLED` where not enough of them
-    # were measured or they contradict each other; `TWO_FRAME_MEAN` where a path has fewer than four places
+    d: Float  # (3, ny, nx): dx, dy, dz at mid-time, metres; NaN where fewer than two cameras see the node
+    noise: Float  # (3, ny, nx): variance of d due to noise, m^2
+    missing: Float  # (3, ny, nx): variance of waves that the prior suppresses, m^2
+    eps_piv: Float  # (ny, nx): rms misfit of the displacements in the images, px
+    misfit: Float  # (ny, nx): chi^2 of this misfit per degree of freedom; NaN as d
+    noise_factor: Float  # (ny, nx): factor on `noise` due to the misfit, at least 1; NaN as d
+    # (ny, nx): bits of `Quality`: why the displacement of a camera was rejected; `FILLED` where fewer than
+    # two cameras measured or they contradict each other; `TWO_FRAME_MEAN` for paths through fewer than four
+    # frames
     quality: NDArray[np.uint16]
-    frames: NDArray[np.uint8]  # (ny, nx): places of the paths: 2, 4 or 6, the fewest of all cameras'
-    # (3, ny, nx): displacement over the step; mean of the places in its two frames less that at mid-time;
-    # metres
-    chord: Float
-    bend: Float
+    frames: NDArray[np.uint8]  # (ny, nx): positions along the paths: 2, 4 or 6, the fewest of all cameras
+    chord: Float  # (3, ny, nx): displacement over the step, metres
+    bend: Float  # (3, ny, nx): mean position in the step's two frames minus that at mid-time, metres
     left_out: str | None = None  # the camera that contradicted the others, which agree without it
 
 
@@ -171,15 +174,16 @@ def velocity(
     may_leave_out: bool = True,
     times: Float = EVEN_TIMES,
 ) -> Motion | None:
-    """Displacement per step of the surface water at the nodes, at mid-time.
+    """Motion of the water at the nodes at mid-time; None if fewer than two cameras have displacements.
 
-    d = argmin sum w (J d - dX)^2, with J the 2N x 3 Jacobian at the position of the node on the surface z
-    (ny, nx), metres, at mid-time, and dX the image velocity there (`read_path`). dX/dt = J dx/dt is exact,
-    while displacements would also need the curvature of the projection. eps' = |J d - dX| / sqrt(2N).
+    d = argmin sum w (J d - dX)^2, with the 2N x 3 Jacobian J of N cameras at elevation z (ny, nx), metres, at
+    mid-time, and the image velocity dX per step there (`read_path`). dX/dt = J dx/dt is exact, whereas finite
+    displacements would need the curvature of the projection. The rms misfit is eps' = |J d - dX| / sqrt(2N).
 
-    The noise of the cameras is independent. What the prior removes is the same in all cameras, so averaging
-    does not reduce it; it is divided among the components (`component_variances`). A camera may be left out
-    that contradicts the others. Times of the six frames are in intervals from mid-time.
+    The noise of the cameras is independent. The waves that the prior suppresses are the same in all cameras,
+    so averaging does not reduce their variance; it is divided among the components
+    (`component_variances`). A camera that contradicts the others is left out if `may_leave_out`. `steps` are
+    the displacements of one, three or five steps; `times` of the six frames are in intervals from mid-time.
     """
     names = _cameras(steps)
     if len(names) < 2:
@@ -199,7 +203,7 @@ def velocity(
         outlier = outlier_camera(len(names), typical, lambda n: median_misfit(by_others(n).misfit, measured))
     if outlier is not None:
         motion = replace(by_others(outlier), left_out=names[outlier])
-    # where most contradict each other and no one camera explains it, some nodes agree by chance
+    # if cameras contradict each other and no single one explains it, nodes that agree do so by chance
     explained = outlier is not None or median_misfit(motion.misfit, measured) <= MAX_MISFIT
     against = motion.misfit > (MAX_NODE_MISFIT if explained else 0.0)
     rejected = np.where(against, np.uint16(Quality.REJECTED_EPS | Quality.FILLED), np.uint16(0))
@@ -213,8 +217,9 @@ def mean_flow(
     path_frames: int,
     times: Float = EVEN_TIMES,
 ) -> tuple[float, float] | None:
-    """Median displacement of the water over the step, (dx, dy), metres, by all cameras at some nodes.
-    None if fewer than two cameras have displacements.
+    """Median displacement (dx, dy) of the water over the step, metres, from some of the nodes.
+
+    It is None if fewer than two cameras have displacements, and 0 if no node was measured.
     """
     names = _cameras(steps)
     if len(names) < 2:
@@ -229,12 +234,15 @@ def mean_flow(
 
 
 def _cameras(steps: Sequence[Flows | None]) -> list[str]:
+    """Names of the cameras with a displacement in the middle one of the steps."""
     return list(steps[len(steps) // 2] or {})
 
 
 def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
-    """Solve for the motion by least squares over the cameras.
-    parts: relative variances of u, v, w that the prior removes (`component_variances`).
+    """Solve for the motion by least squares over the cameras; no camera is left out.
+
+    `parts` (3,) are the relative variances of u, v, w in the waves that the prior suppresses
+    (`component_variances`).
     """
     names = ("jacobian", "moved", "chord", "bend", "noise", "missing")
     fields = {name: np.ascontiguousarray(getattr(displacements, name), np.float32) for name in names}
@@ -263,13 +271,14 @@ def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
 
 
 def component_variances(settings: Settings) -> Float:
-    """Relative variances of u, v, w that the prior removes: those of waves, or equal in a light sheet."""
+    """Relative variances (3,) of u, v, w in suppressed motion: those of waves; equal in a light sheet."""
     return WAVE_VARIANCES if settings.sheet_thickness is None else np.ones(3)
 
 
 def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:
-    """Variance in each camera's image, (N, ny, nx), px^2, of motion with component variances `parts`, m^2.
-    Mean of both image components.
+    """Variance in each camera, (N, ny, nx), px^2, of motion with component variances `parts` (3,), m^2.
+
+    It is the mean over both image components.
     """
     square = np.einsum("kiyx,i->kyx", np.square(displacements.jacobian), parts)
     return np.asarray(0.5 * (square[::2] + square[1::2]))
