@@ -17,7 +17,7 @@ from wavefield.series.listing import MAX_NUMBERS_PER_FRAME, Numbered
 from wavefield.series.probes import numbered_lines
 
 Times = NDArray[np.float64]
-Images = str | Sequence[str | None]
+Images = str | Sequence[str | None]  # images of a camera, as the experiment file names them
 
 MAX_OFFSET = 0.25  # intervals between an image's time and its place: half-way to where places are ambiguous
 RATE_DISAGREEMENT = 0.01  # of a rate: by as much a velocity would be wrong
@@ -26,10 +26,12 @@ DEPARTURE_STEP = 1e-4  # intervals, to which departures are rounded: changes a v
 
 
 def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times | None:
-    """Times of a camera's images in its recordings, (n,), s; None if there are none or they do not increase.
+    """Return the times of a camera's images from its recordings, (n,), s, in order.
 
-    A video's times are those of the playback: its usual interval counts as that of the frame rate. Other
-    recordings are refused if their time stamps contradict the frame rate.
+    None if a file is not a recording or has no times, or if the times do not increase. `folder` is that of
+    the images, `frame_rate` in Hz. The times of a video are those of the playback; they are scaled so that
+    the usual interval is one frame. ExperimentError if the time stamps of another recording contradict the
+    frame rate.
     """
     parts, paths = [], recordings_of(images, camera, folder)
     for path in paths:
@@ -53,9 +55,10 @@ def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> T
 
 
 def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
-    """Refuse a frame rate that increasing time stamps, (n,), s, contradict.
+    """Raise ExperimentError if increasing time stamps, (n,), s, contradict a frame rate, Hz.
 
-    The first and last stamp of n intervals are as uncertain as one interval is, so their mean 1/n of that.
+    `words` begin the message and contain ``{rate:g}`` for the rate by the stamps. The tolerance is 1 %, or
+    the uncertainty of the mean interval if that is larger: the range of the intervals over their number.
     """
     usual = usual_intervals(times)
     if not len(usual):
@@ -72,7 +75,9 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
 
 
 def read_time_stamps(path: Path, camera: str) -> Times:
-    """Times of a camera's frames, (n,), s, in order: one per line, or the column `time` of a CSV file."""
+    """Return the times in a file of time stamps, (n,), s: one per line, or the column `time` of a CSV.
+    ExperimentError if the file cannot be read, or if its times are not increasing numbers.
+    """
     times: list[float] = []
     column, columns = 0, 1
     for number, line in numbered_lines(path, f"the time stamps of {camera}"):
@@ -96,7 +101,12 @@ def read_time_stamps(path: Path, camera: str) -> Times:
 def place_by_time(
     numbered: Numbered, times: Times, start: float, frame_rate: float, path: Path, camera: str
 ) -> Numbered:
-    """Renumber frames by their time stamps (s), so that dropped frames leave gaps."""
+    """Return the frames of a camera, numbered by their time stamps so that dropped frames leave gaps.
+
+    `numbered` are the frames by their old numbers, `times` (n,) their stamps, s, in order; the frame at the
+    time `start` gets number 0. ExperimentError if there is not one stamp per frame, or if stamps do not fit
+    the frame rate, Hz. `path` (of the stamps) and `camera` are for messages.
+    """
     if len(times) != len(numbered):
         raise ExperimentError(
             f"{path} holds {len(times)} times, but {camera} has {len(numbered)} images; every image needs one"
@@ -114,9 +124,11 @@ def place_by_time(
 
 
 def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
-    """Renumber frames by whole multiples of the usual interval, so that dropped frames leave gaps.
+    """Return the frames of a camera, numbered by their times so that dropped frames leave gaps.
 
-    Frames keep their numbers if their times are not near such multiples.
+    `numbered` are the frames by their old numbers, `times` (n,) their times, s, in order. The first frame
+    keeps its number. The numbers of two frames in turn differ by their interval over the usual interval,
+    rounded. All frames keep their numbers if an interval is not near a whole multiple of the usual one.
 
     Examples
     --------
@@ -135,10 +147,11 @@ def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
 
 
 def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
-    """Delay of each frame relative to even times, (n,), in frame intervals; None if the times are even.
+    """Return the delay of each frame relative to even times, (n,), in frame intervals.
 
-    The mean over the cameras' clocks, without offset and rate of each. Cameras are triggered together, so
-    what their clocks do not share is noise of the stamps, by which the mean is reduced.
+    None if the times are even or no camera has usable times. The delay is the mean over the cameras' clocks,
+    each without its own offset and rate. Cameras are triggered together, so differences between their clocks
+    are noise of the stamps; the mean is scaled down by the estimated share of this noise.
     """
     each = [
         found
@@ -160,15 +173,16 @@ def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
 
 
 def departures_by_clock(times: Times) -> Times | None:
-    """Delay of each frame by one clock, in intervals, from its times (n,), s; NaN for frames without a time.
+    """Return the delay of each frame by one clock, (n,), in frame intervals, from its times (n,), s.
 
-    Delays are those from the regression line of time on frame number. They are 0 if none exceeds the digits
-    of the stamps; None if the times are not near even intervals.
+    A delay is the distance from the regression line of time on frame number; NaN for frames without a time.
+    All are 0 if none exceeds the resolution of the stamps. None if there are fewer than three times, or if a
+    delay exceeds a quarter of an interval.
 
     Examples
     --------
-    >>> departures_by_clock(np.array([0.0, 0.052, 0.1, 0.15, 0.2])).round(3).tolist()
-    [-0.016, 0.032, -0.0, 0.008, -0.024]
+    >>> departures_by_clock(np.array([0.0, 0.05, 0.102, 0.15, 0.2])).round(3).tolist()
+    [-0.008, -0.008, 0.032, -0.008, -0.008]
     """
     there = np.flatnonzero(np.isfinite(times))
     if len(there) < 3:
@@ -186,7 +200,7 @@ def departures_by_clock(times: Times) -> Times | None:
 
 
 def _resolution(times: Times) -> float:
-    """Largest power of ten, 0.1 s to 1 us, of which all times are multiples; 0 if there is none."""
+    """Return the largest power of ten, 0.1 s to 1 us, of which all times are multiples; 0 without one."""
     for step in 10.0 ** -np.arange(1, 7):
         if np.abs(times / step - np.rint(times / step)).max() < 1e-3:
             return float(step)
@@ -194,15 +208,17 @@ def _resolution(times: Times) -> float:
 
 
 class Stated(NamedTuple):
-    """What a recording states of itself."""
+    """Properties of a recording, from its header."""
 
-    rate: float | None  # Hz; of a video that of its playback
+    rate: float | None  # Frames per second, of a video that of the playback; None if it has none
     is_video: bool
-    rotation: int  # degrees by which frames are to be turned for display; they are read as stored
+    rotation: int  # Rotation of a video for display, degrees; frames are read as stored
 
 
 def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[str, Stated]:
-    """What the first recording of each camera states; the cameras are as in the experiment file."""
+    """Return the properties of each camera's first recording, by camera; others are left out.
+    `cameras` is the block of the experiment file as plain data, `folder` that of the images.
+    """
     found = {}
     for name, camera in cameras.items():
         images = camera.get("images") if isinstance(camera, Mapping) else camera
@@ -219,19 +235,23 @@ def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[st
 
 
 def is_video(path: Path) -> bool:
-    """Whether a path is that of a video, whose times are those of the playback."""
+    """Whether a path ends as a video does; the times of a video are those of the playback."""
     return path.suffix.lower() in VIDEO_ENDINGS
 
 
 def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
-    """Paths of a camera's recordings, in order; empty if any of its files is not a recording."""
+    """Return the paths of a camera's recordings, in order; empty if any of its files is not a recording.
+    `images` is the camera's entry in the experiment file, `folder` that of the images.
+    """
     names = images if isinstance(images, list) else [images]
     paths = [folder / name.replace("{camera}", camera) for name in names if isinstance(name, str)]
     return paths if len(paths) == len(names) and all(map(recording_path, paths)) else []
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
-    """The frame rate that all recordings or videos state; None without any."""
+    """Return the frame rate, Hz, that all recordings share, from the rate of each camera; None without any.
+    ExperimentError if two rates differ by more than 1 %; `path` is the experiment file.
+    """
     if not rates:
         return None
     first = next(iter(rates))
@@ -245,7 +265,7 @@ def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
 
 
 def is_alike(one: float, other: float) -> bool:
-    """Whether two rates agree as far as velocities need it.
+    """Whether two rates agree within 1 %.
 
     Examples
     --------

@@ -26,7 +26,7 @@ class FrameWarning(UserWarning):
 
 
 class FrameArray(BackendArray):
-    """The images of one camera as a lazy array (time, row, column)."""
+    """The images of one camera as a lazy array (time, row, column); a bad frame gives zeros and a warning."""
 
     def __init__(self, series: FrameSeries) -> None:
         self.series = series
@@ -39,6 +39,7 @@ class FrameArray(BackendArray):
         return out
 
     def _read(self, key: tuple[int | slice | np.ndarray, ...]) -> np.ndarray:
+        """Return the values at a key for time, row and column."""
         time, inside = key[0], key[1:]
         if isinstance(time, int | np.integer):
             return np.asarray(self._frame(int(time))[inside])
@@ -48,6 +49,7 @@ class FrameArray(BackendArray):
         return np.stack([self._frame(int(i))[inside] for i in indices])
 
     def _frame(self, index: int) -> np.ndarray:
+        """Return the image at an index; zeros and a FrameWarning if it is missing or bad."""
         frame = self.series.read(index)
         if frame.image is not None:
             return frame.image
@@ -56,13 +58,13 @@ class FrameArray(BackendArray):
 
 
 class ExperimentBackend(BackendEntrypoint):
-    """Opens lazily: images of an experiment file as a tree, a cube or smoothed fields as a Dataset."""
+    """Opens lazily the images of an experiment as a tree, and a cube or smoothed fields as a Dataset."""
 
     description = "cubes, and image series of the cameras of an experiment file"
     open_dataset_parameters = ("filename_or_obj", "drop_variables", "group")
 
     def guess_can_open(self, filename_or_obj: object) -> bool:
-        """Whether this is an experiment file."""
+        """Whether a path is that of an experiment file: a YAML file with the key `cameras`."""
         try:
             path = Path(str(filename_or_obj))
             return path.suffix in (".yaml", ".yml") and path.is_file() and "cameras:" in path.read_text()
@@ -76,7 +78,10 @@ class ExperimentBackend(BackendEntrypoint):
         drop_variables: str | Iterable[str] | None = None,
         group: str | None = None,
     ) -> xr.Dataset:
-        """Open a cube, what `wavefield smooth` wrote, or one camera of an experiment (``group="cam1"``)."""
+        """Open a cube, smoothed fields, or one camera of an experiment file (``group="cam1"``).
+
+        StoreError if a store is damaged or of another kind; ValueError if the camera is not named.
+        """
         path = Path(str(filename_or_obj).removeprefix("file://"))
         if path.is_file():
             cameras = self.open_datatree(path)
@@ -91,7 +96,11 @@ class ExperimentBackend(BackendEntrypoint):
         return found.drop_vars([drop_variables] if isinstance(drop_variables, str) else drop_variables or [])
 
     def open_datatree(self, filename_or_obj: object, **_: Any) -> xr.DataTree:
-        """Open all cameras as a tree: ``/cam1``, ``/cam2``, ..., each with ``image(time, row, column)``."""
+        """Open all cameras of an experiment file as a tree, each with ``image(time, row, column)``.
+
+        The groups are ``/cam1``, ``/cam2``, ...; times are in the root. ExperimentError if the file or images
+        are wrong; warns if the experiment has masks, which are not applied.
+        """
         experiment = Experiment.load(str(filename_or_obj))
         series = experiment.open_frames()
         if experiment.mask:
@@ -107,7 +116,7 @@ class ExperimentBackend(BackendEntrypoint):
 
 
 def _cube(path: Path) -> xr.Dataset:
-    """A cube as from `open_cube`; with ``chunks={}`` xarray uses the chunks of the store."""
+    """Return a cube as `open_cube` does; with ``chunks={}`` xarray then uses the chunks of the store."""
     cube = open_cube(path, None)
     for variable in cube.variables.values():
         if "time" in variable.dims:
@@ -117,7 +126,7 @@ def _cube(path: Path) -> xr.Dataset:
 
 
 def _smoothed(path: Path) -> xr.Dataset:
-    """Smoothed fields; refused if a file was lost or changed, which Zarr would read as missing values."""
+    """Return smoothed fields; StoreError if a file was lost or changed (Zarr would give missing values)."""
     mark = read_mark(path)
     if mark is None or mark.kind != "smoothed fields":
         what = "is not as it was written: make it again" if mark is None else f"is a {mark.kind}"
@@ -127,6 +136,7 @@ def _smoothed(path: Path) -> xr.Dataset:
 
 
 def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
+    """Return the images of one camera, whether each is present, and the delays of the frames if any."""
     array = FrameArray(series)
     image = xr.Variable(
         ("time", "row", "column"),
@@ -147,7 +157,7 @@ def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
 
 
 def _root(experiment: Experiment, series: FrameSeries) -> xr.Dataset:
-    """Times and numbers of the frames, and attributes of the experiment."""
+    """Return the times, s, and numbers of the frames, with the attributes of the experiment."""
     number = series.first + np.arange(len(series))
     return xr.Dataset(
         coords={

@@ -38,10 +38,10 @@ SAME_PLACE = 1e-4  # of a camera's distance: nearer cameras show no parallax
 
 
 class Experiment(RecordSection):
-    """An experiment: cameras, rig, grid, and the properties of the water.
+    """An experiment: cameras, rig, grid, and the properties of the water; read one with `Experiment.load`.
 
-    Read one with `Experiment.load`; relative paths in it are relative to the file (images: to ``folder``,
-    if it is given).
+    Relative paths in an experiment file start from the folder of the file; those of images from ``folder``,
+    if it is given.
 
     Examples
     --------
@@ -146,12 +146,13 @@ class Experiment(RecordSection):
         path : path
             The file.
         folder : path, optional
-            Folder of the images, in place of the one the file names.
+            Folder of the images, in place of ``folder`` in the file.
 
         Raises
         ------
         ExperimentError
-            If the file is missing or wrong; the message names the line and the remedy.
+            If the file is missing or wrong, or recordings have different frame rates; the message names the
+            line and the remedy.
         """
         path = Path(str(path).removeprefix("file://")).absolute()
         path = path.resolve() if path.is_symlink() else path  # files are named relative to the file itself
@@ -171,26 +172,26 @@ class Experiment(RecordSection):
 
     @property
     def path(self) -> Path:
-        """The file this experiment was read from."""
+        """The file that this experiment was read from."""
         return self._path
 
     @property
     def image_folder(self) -> Path:
-        """Folder that the images' names start from."""
+        """Folder from which relative paths of images start."""
         return self._path.parent / (self.folder or "")
 
     def resolve(self, name: str | Path) -> Path:
-        """Absolute path of a file that the experiment names (other than an image).
+        """Return the absolute path of a file that the experiment file names, other than an image.
 
         Parameters
         ----------
         name : path
-            As in the file; ``{folder}`` is the folder of the images.
+            As in the experiment file; ``{folder}`` stands for the folder of the images.
         """
         return self._path.parent / str(name).replace("{folder}", str(self.image_folder))
 
     def at_rest(self) -> "Experiment":
-        """The record of still water, as an experiment of its own.
+        """Return the record of still water as an experiment of its own.
 
         Returns
         -------
@@ -200,7 +201,7 @@ class Experiment(RecordSection):
         Raises
         ------
         ExperimentError
-            If none is named, or not for every camera.
+            If the file names no images of still water, or none for one of the measuring cameras.
         """
         if not self.rest:
             raise ExperimentError(f"{self.path} names no record at rest; add `rest:` with its images")
@@ -218,18 +219,19 @@ class Experiment(RecordSection):
         return self.model_copy(update={"name": f"{self.name}, at rest", **changed})
 
     def open_frames(self) -> dict[str, FrameSeries]:
-        """Find the frames of every camera: one listing of each folder, one frame read per camera.
+        """Find the frames of every camera; only one frame of each is read.
 
         Returns
         -------
         dict of str to FrameSeries
-            All on the same range of frame numbers, with gaps: of missing files, and of images that a camera
-            dropped, by its `times` or by those in its recording.
+            One series per camera, all over the same range of frame numbers. Missing files leave gaps, and so
+            do images that a camera dropped, as found from its time stamps (the key ``times``, or those in the
+            recording).
 
         Raises
         ------
         ExperimentError
-            If images are not there or cannot be numbered.
+            If images are missing or cannot be numbered, or if the cameras share no two frame numbers.
         """
         series = open_record(self, self._path, self.image_folder, self.measuring_cameras)
         return with_backgrounds(series, self.background, self.resolve, self._path)
@@ -240,12 +242,12 @@ class Experiment(RecordSection):
         Returns
         -------
         Dataset or None
-            As from `wavefield.read_probes`; None if the file names none.
+            As `wavefield.read_probes` returns it; None if the experiment file names no probes.
 
         Raises
         ------
         ExperimentError
-            If their file is missing or wrong.
+            If the file of the probes is missing or wrong.
         """
         if self.probes is None:
             return None
@@ -253,12 +255,12 @@ class Experiment(RecordSection):
         return read_probes(self.resolve(self.probes.file), **options)
 
     def frame_times(self, series: FrameSeries) -> NDArray[np.float64]:
-        """Times of the frames, from their numbers and the frame rate.
+        """Return the times of the frames, from their numbers and the frame rate.
 
         Parameters
         ----------
         series : FrameSeries
-            Any camera.
+            The frames of any camera; all have the same numbers.
 
         Returns
         -------
@@ -269,7 +271,7 @@ class Experiment(RecordSection):
 
     @property
     def rig_paths(self) -> list[Path]:
-        """Files that the rig is read from: ``rig.yaml`` next to the experiment file if it names none."""
+        """Files that the rig is read from; ``rig.yaml`` next to the experiment file if it names no rig."""
         named = list(self.rig.values()) if isinstance(self.rig, dict) else [self.rig or "rig.yaml"]
         return [self.resolve(file) for file in named]
 
@@ -281,9 +283,9 @@ class Experiment(RecordSection):
         Parameters
         ----------
         path : path, optional
-            In place of the one that the experiment names.
+            Rig file, in place of the one that the experiment names.
         series : mapping of str to FrameSeries, optional
-            The frames: some programs do not store the size of their images.
+            The frames of each camera, to check the size of images; some rig files do not contain it.
 
         Returns
         -------
@@ -293,7 +295,8 @@ class Experiment(RecordSection):
         Raises
         ------
         RigError
-            If there is none, or cameras of the experiment are not in it, or its images have other sizes.
+            If there is no rig, or the rig lacks a measuring camera, was made for images of another size, or
+            has two cameras in one place.
         """
         source: Path | dict[str, Path] = self.rig_paths[0] if path is None else Path(path)
         if path is None and isinstance(self.rig, dict):
@@ -315,21 +318,21 @@ class Experiment(RecordSection):
         return with_water_level(rig, self.water.level) if self.water.level else rig
 
     def choose_grid(self, rig: Rig, settings: Mapping[str, object] | None = None) -> Grid:
-        """The grid of the file, or the largest that all cameras see.
+        """Return the grid of the experiment file, or else the largest that all measuring cameras see.
 
         Parameters
         ----------
         rig : Rig
-            The cameras.
+            The calibrated cameras.
         settings : mapping, optional
-            Settings of the measurement, default those of the file: the nodes stay in view over their
-            ``z_range``, or over half of their ``sheet_thickness`` up and down; without either, over 1 % of
-            the cameras' distance.
+            Settings of the measurement; by default those of the experiment file. An automatic grid stays in
+            view at all elevations of ``z_range``, or of plus and minus half the ``sheet_thickness``. Without
+            either setting the elevations are 1 % of the cameras' distance.
 
         Raises
         ------
         RigError
-            If the grid is `auto` and the cameras have no common field.
+            If the grid is ``auto`` and the cameras have no common field of view.
         """
         section = self.grid
         if isinstance(section, GridSection) and section.x is not None and section.y is not None:
@@ -340,7 +343,10 @@ class Experiment(RecordSection):
 
     @property
     def measuring_cameras(self) -> list[str]:
-        """Cameras that the measurement uses, in the order of the file."""
+        """Names of the cameras that the measurement uses, in the order of the file.
+
+        They are those in ``surface`` and ``velocity``; all cameras if the file has neither.
+        """
         if self.surface is None and self.velocity is None:
             return list(self.cameras)
         used = {name for pair in (self.surface.pairs if self.surface else ()) for name in pair}
@@ -349,7 +355,9 @@ class Experiment(RecordSection):
 
 
 def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries) -> None:
-    """Refuse a rig for images of another size, (width, height), and say if axes are in another order."""
+    """Raise RigError if a rig was made for images of another size than those of a series.
+    `source` names the rig, `size` is its (width, height). The message tells if axes are in another order.
+    """
     rows, columns = series.shape
     if size == (columns, rows):
         return
@@ -367,7 +375,7 @@ def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries
 
 
 def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
-    """Refuse two measuring cameras at the same position; a rig without poses has all at the origin."""
+    """Raise RigError if two of the named cameras are at the same position; rigs of lenses alone pass."""
     if rig.lenses_alone:
         return
     for k, one in enumerate(names):
@@ -378,7 +386,9 @@ def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
 
 
 def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, float] | None:
-    """Elevations at which the nodes of an automatic grid stay in view, metres; None if none are stated."""
+    """Return the elevations at which an automatic grid stays in view, m: (low, high), or the height h of
+    -h to h; None if the settings have neither `z_range` nor `sheet_thickness`.
+    """
     try:
         if settings.get("z_range"):
             low, high = settings["z_range"]

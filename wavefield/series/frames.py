@@ -22,11 +22,11 @@ class CameraMask:
     """Pixels of one camera that are masked."""
 
     shape: tuple[int, int]  # (rows, columns) of its images
-    outlines: tuple[Outline, ...] = ()  # (column, row): Closed outlines, px; their inside is covered
-    images: tuple[FrameEntry, ...] = ()  # Images of the same size: what is not black is covered
+    outlines: tuple[Outline, ...] = ()  # Closed outlines of corners (column, row), px; their inside is masked
+    images: tuple[FrameEntry, ...] = ()  # Images of the same size; pixels that are not black are masked
 
     def covered(self) -> NDArray[np.bool_]:
-        """Masked pixels, (row, column)."""
+        """Return where pixels are masked, (row, column); FrameError if a mask image is bad."""
         return _covered(self)
 
 
@@ -58,11 +58,11 @@ class Frame(NamedTuple):
     Parameters
     ----------
     image : ndarray, (row, column), or None
-        Grey levels, of the type of the file; None where there is no image.
+        Grey levels, of the type of the file; None for a missing or bad frame.
     fault : FrameFault
-        NONE, or what is wrong.
+        What is wrong with the frame; NONE if it is sound.
     message : str
-        The same in a sentence that names the file; empty where nothing is wrong.
+        What is wrong, in a sentence that names the frame; empty if it is sound.
     """
 
     image: np.ndarray | None
@@ -87,14 +87,14 @@ class FrameSeries:
     dtype : str
         Type that every frame must have.
     mask : CameraMask, optional
-        Pixels that do not count.
+        Masked pixels, the same in all frames.
     beyond : tuple of int
-        Frames that this camera has before and after the record: other cameras, or ``frames`` of the
-        experiment file, end it there.
+        Number of frames that this camera has before and after the record, which begins and ends where the
+        other cameras or ``frames`` of the experiment file limit it.
     times : ndarray, (n,), optional
         Time of each frame by the camera's own clock, s; NaN where it is missing.
     background : ndarray, (row, column), optional
-        Subtracted from every frame, which does not get below 0.
+        Image that is subtracted from every frame; negative differences become 0.
     """
 
     camera: str
@@ -112,16 +112,16 @@ class FrameSeries:
 
     @property
     def missing(self) -> np.ndarray:
-        """Numbers of the frames that have no file."""
+        """Numbers of the frames that have no image."""
         return self.first + np.flatnonzero([entry is None for entry in self.entries])
 
     def place(self, index: int) -> str:
-        """Which frame this is, for a message."""
+        """Return camera, frame number and file of the frame at an index, for a message."""
         entry = self.entries[index]
         return f"{self.camera} frame {self.first + index}" + (f" ({entry})" if entry else "")
 
     def read(self, index: int) -> Frame:
-        """The image at an index of the series, (row, column), or its fault; never raises for a bad one."""
+        """Return the frame at an index, less its background; a bad frame is returned with its fault."""
         entry = self.entries[index]
         place = self.place(index)
         if entry is None:
@@ -142,16 +142,16 @@ class FrameSeries:
         return frame._replace(image=subtracted(frame.image, self.background))
 
     def covered(self, index: int) -> NDArray[np.bool_] | None:
-        """Masked pixels, (row, column), the same in all frames; None without a mask."""
+        """Return where pixels are masked, (row, column), the same at every index; None without a mask."""
         return None if self.mask is None else self.mask.covered()
 
     def read_uncovered(self, index: int) -> np.ndarray | None:
-        """The image, (row, column), with masked pixels set to the median grey; None for a bad frame."""
+        """Return the image at an index with masked pixels set to the median grey; None for a bad frame."""
         image, covered = self.read(index).image, self.covered(index)
         return image if image is None or covered is None else fill_masked(image, covered)
 
     def window(self, start: int, stop: int) -> "FrameSeries":
-        """The frames of one chunk, as a smaller series to send to a worker."""
+        """Return the frames at indices start to stop - 1 as a series without times, to send to a worker."""
         start = max(start, 0)
         # the measurement of a chunk does not need times
         entries = list(self.entries[start:stop])
@@ -159,11 +159,11 @@ class FrameSeries:
 
 
 def is_interlaced(series: FrameSeries) -> bool:
-    """Whether odd and even rows are of two moments, by the structure functions of some frames.
+    """Whether odd and even rows show two moments, by the structure functions of five frames.
 
-    Root mean square differences D of rows 1, 2 and 4 apart rise ever more slowly in any image of one moment:
-    D1 D4 / D2^2 is at most 1 (0.73 for beads, 1 for noise). In interlaced images of moving beads it is about
-    1.1. A colour mosaic has the same ratio along columns and is left out.
+    D1, D2 and D4 are the root mean square differences between rows 1, 2 and 4 apart. In an image of one
+    moment D1 D4 / D2^2 is at most 1 (0.73 for beads, 1 for noise); in interlaced images of moving beads it is
+    about 1.1. A colour mosaic has such a ratio along the columns as well, and is not taken for interlaced.
     """
     found = []
     for index in np.unique(np.linspace(0, len(series) - 1, INTERLACED_SAMPLES).astype(int)):
@@ -177,18 +177,21 @@ def is_interlaced(series: FrameSeries) -> bool:
 
 
 def _structure_ratio(image: NDArray[Any]) -> float:
+    """Return D1 D4 / D2^2 of rows (see `is_interlaced`); 0 for an image without contrast."""
     values = image.astype(np.float32)
     d1, d2, d4 = (float(np.mean((values[k:] - values[:-k]) ** 2)) for k in (1, 2, 4))
     return float(np.sqrt(d1 * d4)) / d2 if d2 > 0 else 0.0
 
 
 def subtracted(image: NDArray[Any], background: NDArray[Any]) -> NDArray[Any]:
-    """An image minus a background of the same type, (row, column), at least 0."""
+    """Return an image minus a background of the same type, (row, column); negative differences become 0."""
     return np.asarray(image - np.minimum(image, background))
 
 
 def check_content(image: np.ndarray, place: str) -> Frame:
-    """A frame from an image; blank ones and those with pixels that are not finite are faults."""
+    """Return an image as a frame; with a fault if it is blank or has pixels that are not finite.
+    `place` names the frame in messages.
+    """
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())
         return Frame(None, FrameFault.UNREADABLE, f"{place} has {bad} pixels that are not finite numbers")

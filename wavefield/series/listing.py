@@ -18,7 +18,7 @@ from wavefield.series.formats.arrays import is_remote
 from wavefield.series.frames import FrameSeries
 from wavefield.series.readers import FrameEntry, Kind, count_images, read_entry
 
-Numbered = dict[int, FrameEntry]
+Numbered = dict[int, FrameEntry]  # frames of a camera by frame number
 Images = str | Sequence[str | None]  # as in the experiment file
 
 SINGLE_IMAGE_ENDINGS = (".png", ".bmp", ".jpg", ".jpeg")
@@ -28,7 +28,11 @@ FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 
 def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
-    """Give every image of a camera its frame number."""
+    """Return the frames of a camera by frame number.
+
+    `images` is the camera's entry in the experiment file, `folder` that of the images. ExperimentError if
+    images are missing or cannot be numbered.
+    """
     if not isinstance(images, str):
         return _from_list(images, folder, camera)
     name = images.replace("{camera}", camera)
@@ -53,6 +57,7 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
 
 
 def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
+    """Return the kind and the number of images of a file or store; ExperimentError if it is bad."""
     try:
         kind, count = count_images(path)
     except FrameError as error:
@@ -66,6 +71,7 @@ def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
 
 
 def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbered:
+    """Return the frames of listed files, numbered from 0; None or a missing file leaves a gap of one."""
     out: Numbered = {}
     number = 0
     for item in images:
@@ -83,7 +89,7 @@ def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbe
 
 
 def list_folder(folder: Path, camera: str) -> list[str]:
-    """Names of the files in a folder, in one listing."""
+    """Return the names of the files in a folder; ExperimentError if it cannot be read."""
     try:
         return os.listdir(folder)
     except FileNotFoundError:
@@ -98,7 +104,9 @@ def list_folder(folder: Path, camera: str) -> list[str]:
 
 
 def _names(path: Path, camera: str) -> dict[int, str]:
-    """Names of the files that match a pattern, by frame number."""
+    """Return the names of the files that match a pattern with ``{frame}``, by frame number.
+    ExperimentError if none matches or the pattern is wrong.
+    """
     folder, pattern = path.parent, path.name
     if re.search(r"[*?]|\{frame", str(folder)):
         raise ExperimentError(
@@ -116,7 +124,9 @@ def _names(path: Path, camera: str) -> dict[int, str]:
 
 
 def _numbers_by_mark(names: Sequence[str], pattern: str, camera: str) -> dict[int, str]:
-    """Numbers at ``{frame}`` of a pattern, which may have wildcards too, as in ``run-*-{frame}.tif``."""
+    """Return those of `names` that match a pattern such as ``run-*-{frame}.tif``, by frame number.
+    ExperimentError if two files have the same number, or if a wildcard is next to ``{frame}``.
+    """
     parts = re.split(r"(\*|\?|\{frame[^}]*\})", pattern)
     if re.search(r"[*?]\{frame|\{frame[^}]*\}[*?]", pattern):
         raise ExperimentError(
@@ -141,7 +151,11 @@ def _numbers_by_mark(names: Sequence[str], pattern: str, camera: str) -> dict[in
 def make_series(
     numbered: Mapping[str, Numbered], first: int, last: int, clocks: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, FrameSeries]:
-    """One series per camera over a common range of frame numbers; reads one frame of each camera."""
+    """Return one series per camera, over the frame numbers first to last; reads one frame of each camera.
+
+    `numbered` are the frames of each camera by number, `clocks` the times, s, of all frames of the cameras
+    that have a clock, in order. ExperimentError if no frame of a camera can be read.
+    """
     out = {}
     for camera, frames in numbered.items():
         entries = [frames.get(number) for number in range(first, last + 1)]
@@ -154,6 +168,7 @@ def make_series(
 
 
 def _file_size(entry: FrameEntry) -> int:
+    """Return the size of the file of a frame, bytes; 0 for files of many images."""
     try:
         return os.stat(entry.path).st_size if entry.kind == "file" else 0
     except OSError:
@@ -161,7 +176,9 @@ def _file_size(entry: FrameEntry) -> int:
 
 
 def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tuple[int, int], str]:
-    """Shape and type of a camera's frames, from a readable frame of median file size."""
+    """Return the shape and type of a camera's frames, from one frame, of median file size if it is readable.
+    ExperimentError if none of five frames can be read.
+    """
     present = [entry for entry in entries if entry is not None]
     # any frame may be of another size than the record: the median of five comes first
     five = [present[k] for k in from_first_to_last(len(present), 5)] if present else []

@@ -19,7 +19,7 @@ POINTS_PER_SIDE = 16  # of an edge on the water: it is no straight line in an im
 
 
 class MaskSection(ConfigSection):
-    """One shape that covers the water; exactly one of these."""
+    """One masked shape: a polygon or an image."""
 
     polygon: list[tuple[float, float]] | None = Field(
         default=None,
@@ -48,7 +48,9 @@ class MaskSection(ConfigSection):
 
 
 def normalized(masks: object, cameras: Collection[str]) -> object:
-    """Expand the short forms of ``mask:``, and refuse names that are not cameras."""
+    """Return the block ``mask`` of an experiment file with its short forms written out, as plain data.
+    ValueError if it names neither a camera nor ``water``.
+    """
     if not isinstance(masks, Mapping):
         return masks
     out: dict[str, list[object]] = {}
@@ -61,13 +63,13 @@ def normalized(masks: object, cameras: Collection[str]) -> object:
 
 
 def refuse_misplaced(masks: Mapping[str, Sequence[MaskSection]]) -> None:
-    """Refuse a mask on the water that is an image."""
+    """Raise ValueError if a mask under the key ``water`` is an image."""
     if any(shape.image for shape in masks.get(WATER, ())):
         raise ValueError("mask: an image belongs to a camera; on the water give a polygon")
 
 
 def footprints(masks: Mapping[str, Sequence[MaskSection]]) -> tuple[Outline, ...]:
-    """Outlines on the water, (x, y), m, of masked nodes."""
+    """Return the outlines (x, y), m, of the masks on the water."""
     return tuple(tuple(shape.polygon) for shape in masks.get(WATER, ()) if shape.polygon is not None)
 
 
@@ -77,7 +79,11 @@ def covered_series(
     rig: Rig,
     folder: Path,
 ) -> dict[str, FrameSeries]:
-    """Series with masks: those of each camera, and those on the water projected into it."""
+    """Return the series with their masks: those of each camera, and those on the water as it sees them.
+
+    `masks` is the block ``mask`` of the experiment file, `folder` that of its mask images. ExperimentError if
+    a mask image is missing or of another size, a polygon is outside the image, or all of an image is masked.
+    """
     out = {}
     for name, frames in series.items():
         own, on_water = masks.get(name, ()), masks.get(WATER, ())
@@ -97,7 +103,7 @@ def covered_series(
 
 
 def _refuse_useless(name: str, mask: CameraMask) -> None:
-    """Refuse mask images of another size, and a mask that covers the whole image."""
+    """Raise ExperimentError if the mask of a camera has a bad image or covers the whole image."""
     try:
         covered = mask.covered()
     except FrameError as error:
@@ -109,6 +115,7 @@ def _refuse_useless(name: str, mask: CameraMask) -> None:
 
 
 def _file(name: str, path: Path) -> FrameEntry:
+    """Return the entry of a camera's mask image; ExperimentError if there is no such file."""
     if not path.is_file():
         raise ExperimentError(
             f"mask of {name}: there is no {path}; correct `mask` (one image for all frames), or save it there"
@@ -117,7 +124,7 @@ def _file(name: str, path: Path) -> FrameEntry:
 
 
 def _in_image(name: str, polygon: Sequence[tuple[float, float]], size: tuple[int, int]) -> Outline:
-    """A polygon in an image, refused where it is outside."""
+    """Return a polygon (column, row), px; ExperimentError if outside an image of `size` (rows, columns)."""
     (left, top), (right, bottom) = np.min(polygon, axis=0), np.max(polygon, axis=0)
     if right < 0 or bottom < 0 or left > size[1] - 1 or top > size[0] - 1:
         raise ExperimentError(
@@ -128,7 +135,7 @@ def _in_image(name: str, polygon: Sequence[tuple[float, float]], size: tuple[int
 
 
 def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
-    """Outline in a camera's image, px, of a polygon on the water; empty if it is out of view."""
+    """Return the outline (column, row), px, in a camera's image of a mask on the water; empty out of view."""
     p = np.array(shape.polygon)
     t = np.arange(POINTS_PER_SIDE)[:, None] / POINTS_PER_SIDE
     edge = np.concatenate([a + t * (b - a) for a, b in zip(p, np.roll(p, -1, axis=0))])
@@ -143,7 +150,7 @@ def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
 
 
 def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, list[dict[str, object]]]:
-    """Masks as plain data for a recipe, with a checksum of each mask image."""
+    """Return masks as plain data for a recipe, with a checksum of each mask image; `folder` is theirs."""
     out: dict[str, list[dict[str, object]]] = {}
     for name, shapes in masks.items():
         out[name] = [shape.model_dump(exclude_none=True, mode="json") for shape in shapes]

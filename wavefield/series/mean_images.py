@@ -19,7 +19,9 @@ Image = NDArray[Any]
 
 
 def mean_image(series: FrameSeries, frames: int) -> Image:
-    """Mean of a number of evenly spaced frames, (row, column), in the type of the frames."""
+    """Return the mean of `frames` evenly spaced frames, (row, column), in their type; bad ones are left out.
+    FrameError if none of them can be read.
+    """
     total, count = np.zeros(series.shape), 0
     for index in evenly_spaced(len(series), frames):
         image = series.read(int(index)).image
@@ -37,7 +39,11 @@ def read_backgrounds(
     resolve: Callable[[str], Path],
     experiment: Path,
 ) -> dict[str, Image]:
-    """Background images, (row, column), by camera."""
+    """Return the background images, (row, column), by camera; cameras without one are left out.
+
+    `named` is the key ``background`` of the experiment file, `resolve` turns a name in it into a path, and
+    `experiment` is the path of the file, for messages. ExperimentError if an image cannot be read.
+    """
     files = {name: named if isinstance(named, str) else (named or {}).get(name) for name in cameras}
     out = {}
     for name, file in files.items():
@@ -55,7 +61,9 @@ def read_backgrounds(
 def refuse_other_images(
     background: Image, name: str, shape: tuple[int, ...], dtype: str, experiment: Path
 ) -> None:
-    """Refuse the background of a camera whose frames have another size or type."""
+    """Raise ExperimentError if the background of a camera has another shape or type than its frames.
+    `name` is the camera, `shape` and `dtype` are those of its frames, `experiment` is the experiment file.
+    """
     if background.shape != shape or background.dtype != dtype:
         raise ExperimentError(
             f"{experiment}: background of {name}: it is {background.shape[1]} x {background.shape[0]} "
@@ -70,7 +78,9 @@ def with_backgrounds(
     resolve: Callable[[str], Path],
     experiment: Path,
 ) -> dict[str, FrameSeries]:
-    """Series that subtract the backgrounds named in an experiment file from their frames."""
+    """Return the series with the backgrounds that they subtract from their frames.
+    Arguments and errors are those of `read_backgrounds` and `refuse_other_images`.
+    """
     images = read_backgrounds(named, series, resolve, experiment)
     for name, image in images.items():
         refuse_other_images(image, name, series[name].shape, series[name].dtype, experiment)
@@ -78,7 +88,7 @@ def with_backgrounds(
 
 
 def checksums(series: Mapping[str, FrameSeries]) -> dict[str, str]:
-    """Checksums of the backgrounds, by camera, for a recipe."""
+    """Return the checksum of each background, by camera, for a recipe; empty without backgrounds."""
     return {
         name: hashlib.sha256(np.ascontiguousarray(one.background).tobytes()).hexdigest()[:16]
         for name, one in series.items()
@@ -89,8 +99,11 @@ def checksums(series: Mapping[str, FrameSeries]) -> dict[str, str]:
 def write_backgrounds(
     series: Mapping[str, FrameSeries], folder: Path, frames: int, source: str = ""
 ) -> list[Path]:
-    """Write the mean image of every camera into a folder; returns the files.
-    Only backgrounds of the same source (an experiment's identity) are replaced.
+    """Write the mean of `frames` frames of every camera to folder/CAMERA.tif; return the files.
+
+    `source` identifies the experiment (`identity_of`). An existing file is replaced only if it is an
+    unchanged background from the same source. StoreError if another file is there, FrameError if no frame can
+    be read.
     """
     product = Product("background", source or identity_of())
     files = {name: folder / f"{name}.tif" for name in series}

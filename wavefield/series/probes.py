@@ -54,7 +54,8 @@ def read_probes(
     Raises
     ------
     ExperimentError
-        If the file is anything else; the message says what was found, and where.
+        If the file cannot be read or is not such a table, its values are implausible for waves in this unit,
+        or `places` names another probe. The message tells the line.
 
     Examples
     --------
@@ -97,7 +98,9 @@ def read_probes(
 
 
 def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
-    """Numbered lines of a UTF-8 text without blank lines and comments; `what` is its name in messages."""
+    """Return (number from 1, text) of each line of a UTF-8 file that is neither blank nor a comment (#).
+    ExperimentError if the file cannot be read; `what` is its name in messages.
+    """
     try:
         refuse_pipe(path, ExperimentError)
         data = path.read_bytes()
@@ -117,7 +120,7 @@ def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
 
 
 def _names(path: Path, number: int, line: str) -> list[str]:
-    """Names of the columns, from the header."""
+    """Return the names of the columns from the header; ExperimentError if it is not ``time,NAME,...``."""
     names = [name.strip().strip('"') for name in line.split(",")]
     form = "the first line must be `time,NAME,NAME,...`"
     if len(names) < 2 or names[0] != "time":
@@ -134,7 +137,7 @@ def _names(path: Path, number: int, line: str) -> list[str]:
 
 
 def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArray[np.float64]:
-    """Numbers of all lines, (line, column); NaN for empty cells."""
+    """Return the numbers of all lines, (line, column), NaN for empty cells; ExperimentError for text."""
     table = np.empty((len(lines), len(names)))
     for row, (number, line) in zip(table, lines):
         cells = line.split(",")
@@ -157,6 +160,7 @@ def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArra
 
 
 def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> None:
+    """Raise ExperimentError if times, s, do not increase or are over 2 s apart; `numbers` are their lines."""
     steps = np.diff(times)
     if not (steps > 0).all():
         later = int(np.argmin(steps > 0)) + 1
@@ -170,7 +174,7 @@ def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> 
 
 
 def _check_elevation(path: Path, name: str, elevation: NDArray[np.float64]) -> None:
-    """Refuse values that cannot be surface elevations in metres, such as -99.99 for missing ones."""
+    """Raise ExperimentError if elevations, m, vary by over 40 m, as with -99.99 for missing values."""
     known = elevation[np.isfinite(elevation)]
     if known.size and np.ptp(known) > LARGEST:
         raise ExperimentError(

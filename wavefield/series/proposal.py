@@ -39,14 +39,14 @@ water: {{depth: }}              # TO FILL IN: metres, such as 0.70; none in deep
 
 @dataclass(frozen=True)
 class NumberedImages:
-    """Images whose names differ in one number."""
+    """Images of one camera, whose names differ in the frame number."""
 
-    pattern: str  # Path from the folder, with ``{frame}`` for the number
+    pattern: str  # Relative path, with ``{frame}`` for the number and ``*`` for other varying parts
     numbers: tuple[int, ...]  # The numbers, in order
 
 
 def files_below(folder: Path) -> Iterator[Path]:
-    """Files below a folder; follows links to folders and skips Zarr stores."""
+    """Yield the files below a folder; links to folders are followed, Zarr stores are skipped."""
     entered: set[str] = set()
     for here, folders, names in os.walk(folder, followlinks=True):
         entered.add(os.path.realpath(here))
@@ -59,7 +59,9 @@ def files_below(folder: Path) -> Iterator[Path]:
 
 
 def image_paths(folder: Path) -> list[str]:
-    """Sorted paths of the images below a folder, relative to it."""
+    """Return the sorted paths, relative to a folder, of all images below it.
+    ExperimentError if it is not a folder.
+    """
     if not folder.is_dir():
         raise ExperimentError(f"{folder} is not a folder; name the one that contains the images")
     return sorted(
@@ -70,9 +72,11 @@ def image_paths(folder: Path) -> list[str]:
 
 
 def find_series(paths: Sequence[str]) -> list[NumberedImages]:
-    """Series of numbered images among paths, wherever in the name the number of the frame is.
-    The frame's number is the one with the most values. Where each name has another, what else varies (a time,
-    say) gets a star; else names that differ in further numbers are of further series.
+    """Return the series of numbered images among `paths`, wherever in the names the frame number is.
+
+    Names that differ in their numbers only are compared. The frame number is the number with the most
+    different values. If it differs in every name, other numbers that vary (a time, say) become ``*`` in the
+    pattern; else each combination of the other numbers is a series of its own.
     """
     alike: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for path in paths:
@@ -98,29 +102,29 @@ def find_series(paths: Sequence[str]) -> list[NumberedImages]:
 
 
 def camera_names(patterns: Sequence[str]) -> list[str]:
-    """Names of cameras: the folders of their images if these are distinct words, else cam1, cam2, ..."""
+    """Return a camera name for each pattern: its folder if all are distinct words, else cam1, cam2, ..."""
     folders = [pattern.rpartition("/")[0].rpartition("/")[2] for pattern in patterns]
     words = {folder for folder in folders if re.fullmatch("[A-Za-z][A-Za-z0-9_]+", folder)}
     return folders if len(words) == len(patterns) else [f"cam{k}" for k in range(1, len(patterns) + 1)]
 
 
 def propose(folder: str | Path) -> str:
-    """Propose an experiment file for a folder of images.
+    """Return the text of an experiment file proposed for a folder of images.
 
     Parameters
     ----------
     folder : path
-        Of the images, with a folder or a part of the names for each camera.
+        Folder of the images of all cameras. Each camera has a folder in it, or its own part of the names.
 
     Returns
     -------
     str
-        YAML, with a comment on every guess; what a folder does not show is left to be filled in.
+        YAML with a comment on every guess. The user fills in what images do not tell, such as the frame rate.
 
     Raises
     ------
     ExperimentError
-        If there are no numbered images of two cameras.
+        If the folder does not contain numbered images of two cameras, three or more of each.
 
     Examples
     --------
@@ -157,6 +161,7 @@ def propose(folder: str | Path) -> str:
 
 
 def _cameras(records: dict[str, NumberedImages]) -> Iterator[str]:
+    """Yield the line of each camera in the proposed file."""
     for name, one in records.items():
         low, high = one.numbers[0], one.numbers[-1]
         offset = f", offset: {-low}" if low else ""

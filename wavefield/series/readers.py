@@ -22,7 +22,7 @@ Kind = Literal["file", "images"]
 
 
 class _Images(Protocol):
-    """A file or store of many images."""
+    """An open file or store of many images, read by index from 0."""
 
     count: int
 
@@ -31,18 +31,18 @@ class _Images(Protocol):
 
 
 class FrameEntry(NamedTuple):
-    """File and number of one frame."""
+    """File of one frame, and its index in the file."""
 
-    kind: Kind  # "images": of a file or store with many
-    path: str
-    image: int = 0
+    kind: Kind  # "file": a file of one image; "images": a file or store of many
+    path: str  # Path or address of the file or store
+    image: int = 0  # Index of the image in it, from 0
 
     def __str__(self) -> str:
         return f"{self.path}, image {self.image}" if self.kind == "images" else self.path
 
 
 def read_entry(entry: FrameEntry) -> np.ndarray:
-    """Read one frame, (row, column)."""
+    """Return the grey image of one frame, (row, column); FrameError if it cannot be read."""
     if entry.kind == "file":
         return read_image(entry.path)
     # open files keep a position, which threads must not share
@@ -52,7 +52,9 @@ def read_entry(entry: FrameEntry) -> np.ndarray:
 
 
 def count_images(name: str | Path) -> tuple[Kind, int]:
-    """Kind and number of images of a single file or store."""
+    """Return ("file", 1) for a file of one image, else ("images", number of images in the file or store).
+    FrameError if it is missing or damaged.
+    """
     refuse_pipe(name, FrameError)
     path = Path(name)
     single = recording_path(path) is None and path.suffix.lower() not in (*TIFF_ENDINGS, ".zarr")
@@ -67,7 +69,7 @@ def count_images(name: str | Path) -> tuple[Kind, int]:
 
 
 def _open(path: str) -> _Images:
-    """Open a file or store of many images."""
+    """Open a file or store of many images; FrameError if it is missing or damaged."""
     if is_remote(path):
         return ZarrImages(path)
     if recording_path(Path(path)) is not None:
@@ -80,14 +82,14 @@ _open_files: OrderedDict[tuple[str, int], _Images] = OrderedDict()
 
 
 def close_files() -> None:
-    """Close all files that stay open for further reading."""
+    """Close all files that this process keeps open between reads of frames."""
     with _lock:
         while _open_files:
             _open_files.popitem()[1].close()
 
 
 def _kept_open(path: str) -> _Images:
-    """The open file of a path; beyond a maximum, the least recently used one is closed."""
+    """Return the open file of a path, and keep it open; of over eight the least recently used is closed."""
     try:
         key = path, os.stat(path).st_mtime_ns  # a file that was copied again is opened again
     except OSError:

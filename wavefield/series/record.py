@@ -29,8 +29,11 @@ Times = NDArray[np.float64]
 def open_record(
     record: RecordSection, path: Path, folder: Path, measuring: Sequence[str]
 ) -> dict[str, FrameSeries]:
-    """Frames of every camera over the frame numbers that all measuring cameras have.
-    The path is that of the experiment file, the folder that of the images.
+    """Return the frames of every camera, over the frame numbers that all measuring cameras span.
+
+    ``frames`` in the experiment file replaces this range. `path` is the experiment file, `folder` that of the
+    images, and `measuring` are the names of the measuring cameras. ExperimentError if images are missing or
+    cannot be numbered, or if the cameras share no two frame numbers.
     """
     numbered = {name: number_frames(one.images, folder, name) for name, one in record.cameras.items()}
     numbered, clocks = _place_by_clocks(record, numbered, path, folder)
@@ -49,6 +52,7 @@ def open_record(
 
 
 def _no_common_step(numbered: Mapping[str, Numbered]) -> str:
+    """Return a message on cameras that share no two frame numbers."""
     ranges = {name: (min(frames), max(frames)) for name, frames in numbered.items()}
     if all(low == high for low, high in ranges.values()):
         return "there is one frame only; a step needs two"
@@ -59,7 +63,7 @@ def _no_common_step(numbered: Mapping[str, Numbered]) -> str:
 
 
 def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int, last: int) -> None:
-    """Refuse a huge range of numbers with few frames, before memory is allocated for it."""
+    """Raise ExperimentError for a huge range of frame numbers with few frames, before it takes memory."""
     lowest = min(min(frames) for frames in numbered)
     if first < min(lowest, 0):
         raise ExperimentError(f"{path}: frames.first is {first}, but the first frame there is {lowest}")
@@ -75,7 +79,7 @@ def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int,
 def _place_by_clocks(
     record: RecordSection, numbered: dict[str, Numbered], path: Path, folder: Path
 ) -> tuple[dict[str, Numbered], dict[str, Times]]:
-    """Frames renumbered by the cameras' clocks, and the times of cameras that have a clock."""
+    """Return the frames renumbered by the cameras' clocks, and the times, s, of cameras that have a clock."""
     stamped = {
         name: _time_stamps(name, section, path, folder)
         for name, section in record.cameras.items()
@@ -102,6 +106,6 @@ def _place_by_clocks(
 
 
 def _time_stamps(name: str, section: CameraSection, path: Path, folder: Path) -> tuple[Path, Times]:
-    """The file that holds a camera's time stamps, and its times, s."""
+    """Return the file of a camera's time stamps, and the times in it, s."""
     source = path.parent / str(section.times).replace("{folder}", str(folder))
     return source, read_time_stamps(source, name)

@@ -12,7 +12,9 @@ from wavefield.series.experiment import Experiment
 
 
 def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
-    """Target images of an experiment by camera and pose; the pose on z = 0 is called ``flat``."""
+    """Return the target images of an experiment by camera and pose; the pose on z = 0 is called ``flat``.
+    CalibrationError if the experiment has no calibration block, or a camera no image.
+    """
     section = experiment.calibration
     if section is None and experiment.rig is not None:
         raise CalibrationError(
@@ -48,7 +50,7 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
 
 
 def _without_cameras(views: dict[str, dict[str, Path]]) -> dict[str, dict[str, Path]]:
-    """Remove the camera's name from the names of poses if all files repeat it (left/left1.jpg)."""
+    """Return the views with the camera's name cut from each pose, if all poses begin so (left/left1.jpg)."""
     repeated = all(
         pose == "flat" or (pose.startswith(camera) and pose != camera and not camera.isdigit())
         for camera, poses in views.items()
@@ -63,6 +65,7 @@ def _without_cameras(views: dict[str, dict[str, Path]]) -> dict[str, dict[str, P
 
 
 def _no_images(experiment: Experiment, camera: str, patterns: Sequence[str]) -> CalibrationError:
+    """Return the error to raise if no image of a camera matches the patterns."""
     return CalibrationError(
         f"{experiment.path}: no target image of {camera}: nothing in {experiment.image_folder} is called "
         f"{' or '.join(patterns)}; correct the calibration block"
@@ -70,7 +73,7 @@ def _no_images(experiment: Experiment, camera: str, patterns: Sequence[str]) -> 
 
 
 def _add_poses(poses: dict[str, Path], images: Iterable[tuple[str, Path]], experiment: Experiment) -> None:
-    """Add images to those of a camera; two different files for one pose are refused."""
+    """Add images (pose, file) to those of a camera; CalibrationError if two files have the same pose."""
     for pose, path in images:
         other = poses.setdefault(pose, path)
         if other != path:
@@ -81,8 +84,10 @@ def _add_poses(poses: dict[str, Path], images: Iterable[tuple[str, Path]], exper
 
 
 def _images(experiment: Experiment, pattern: str, camera: str) -> Iterator[tuple[str, Path]]:
-    """Images that fit a pattern, each with its pose: what the wildcards match, the same in all cameras.
-    A leading minus belongs to the pose: plates are traversed from -3 mm to 3 mm.
+    """Yield (pose, file) of each image of a camera that matches a pattern.
+
+    The pose is the text at the wildcards and around them, so it is the same in all cameras. A leading minus
+    belongs to it: plates are traversed from -3 mm to 3 mm.
     """
     folder = experiment.image_folder
     named = pattern.replace("{camera}", glob.escape(camera))
