@@ -1,1 +1,1 @@
-"""Where the work runs: processes, Dask clusters and Slurm jobs behind one map; locks, logs, signals."""
+"""Run chunks in processes, Dask clusters or Slurm jobs behind one map function; locks, logs, signals."""

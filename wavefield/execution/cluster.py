@@ -1,7 +1,8 @@
-"""Where chunks are measured: in this process, or by Dask's workers here, in Slurm jobs, or elsewhere.
+"""Map work over chunks: in this process, or on Dask workers of this machine, in Slurm jobs, or elsewhere.
 
-All are given the same map over chunks. The scheduler that a run starts accepts nobody but the run itself: it
-communicates through TLS, with credentials that are made for each run, and serves no page.
+A chunk is a range of steps of the record that one task measures. `open_cluster` gives the same map function
+for all of these. The scheduler that a run starts accepts connections from that run only: it uses TLS with
+credentials made for each run, and serves no dashboard.
 """
 
 import functools
@@ -31,7 +32,7 @@ from wavefield.execution.process import (
 )
 from wavefield.execution.workflow import Workflow
 
-if TYPE_CHECKING:  # a second to import
+if TYPE_CHECKING:  # takes a second to import
     from distributed import Client
 
 log = logging.getLogger("wavefield.run")
@@ -41,11 +42,11 @@ Results = Generator[tuple[Any, Any], None, None]  # each item with its result, o
 MapUnordered = Callable[[Work, Sequence[Any]], Results]
 Watch = Callable[["Client"], None]  # looks at the workers now and then, and may raise an error
 
-_MOST_THREADS = 4  # of a run's own process
-_TASKS_PER_WORKER = 2  # that the scheduler holds: one at work, one ready
-_POLL_SECONDS = 2.0  # between looks at the workers, without results
-_START_SECONDS = 300.0  # for workers of this machine, which take 3 s where it is idle
-_SCHEDULER_TIMEOUT = "20s"  # for a scheduler that should be running already
+_MOST_THREADS = 4  # threads of the run's own process
+_TASKS_PER_WORKER = 2  # tasks that the scheduler holds: one running, one ready
+_POLL_SECONDS = 2.0  # between checks of the workers while no result arrives
+_START_SECONDS = 300.0  # limit for the start of local workers, which takes 3 s on an idle machine
+_SCHEDULER_TIMEOUT = "20s"  # to connect to a scheduler that is running already
 
 
 def count_workers(workflow: Workflow) -> int:
@@ -82,11 +83,11 @@ def open_cluster(
         yield _map_here
         return
     import dask
-    import distributed  # before our configuration, which its defaults would replace otherwise
+    import distributed  # before our configuration, which its defaults would otherwise replace
 
-    environment = dict(os.environ)  # Dask's nannies change it
+    environment = dict(os.environ)  # Dask changes it for its workers
     try:
-        # what Dask would print of workers that end is told in a sentence, or is nobody's concern
+        # our own messages report workers that end, so Dask's are silenced
         silent = distributed.utils.silence_logging_cmgr(logging.CRITICAL)
         with dask.config.set(SETTINGS), silent, ExitStack() as stack:
             with deferred_signals():
@@ -124,7 +125,7 @@ def _connect(
         stack.callback(_end_workers, cluster)
     client = stack.enter_context(Client(cluster, timeout="60s", set_as_default=False))
     if workflow.cluster == "local":
-        cluster.scale(count_workers(workflow))  # after the client, which would wait for them
+        cluster.scale(count_workers(workflow))  # after the client, which would wait for the workers
         watch = _LocalWorkers()
     return client, watch
 
@@ -135,9 +136,9 @@ def _local_cluster(workflow: Workflow, imports: Sequence[str]) -> Any:
     from distributed.utils import get_mp_context
 
     context = get_mp_context()
-    if context.get_start_method() == "forkserver":  # workers share the memory of what they import
+    if context.get_start_method() == "forkserver":  # workers share the memory of imported modules
         context.set_forkserver_preload(["distributed", PRELOAD, *imports])
-    with children_ignore_ctrl_c():  # started by a thread that starts here
+    with children_ignore_ctrl_c():  # a thread that starts here will start the workers
         return LocalCluster(
             n_workers=0,
             threads_per_worker=1,
@@ -171,7 +172,7 @@ class _LocalWorkers:
             self._seen = time.monotonic()
         elif time.monotonic() - self._seen > _START_SECONDS:
             raise StoreError(
-                "the workers of this machine do not start; run the same command again, or state "
+                "the workers of this machine do not start; run the same command again, or set "
                 "`cluster: none` in the workflow to measure in the run's own process"
             )
 

@@ -1,6 +1,6 @@
-"""The lock of a store: one run at a time writes it.
+"""Lock a store, so that only one run at a time writes it.
 
-The operating system releases the lock when its process ends, however it ends, and the clock plays no part.
+The operating system releases the lock when its process ends, even if it is killed.
 """
 
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from wavefield.errors import StoreError
 
 @dataclass(frozen=True)
 class Lock:
-    """The right to write a store; made by `hold`."""
+    """The right to write a store, obtained from `hold`."""
 
     store: Path  # The store that may be written
 
@@ -41,5 +41,5 @@ class Lock:
         try:
             yield cls(store)
         finally:
-            path.unlink(missing_ok=True)  # while it is held: no other run can hold it
+            path.unlink(missing_ok=True)  # before the release, after which another run may hold the file
             lock.release()

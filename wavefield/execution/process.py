@@ -16,8 +16,8 @@ from wavefield.errors import StoreError
 
 # -- threads and memory
 
-# A step makes and drops hundreds of arrays of a few MB. Where glibc hands them back to the system each time,
-# mapping and clearing their pages takes longer than measuring. An image of 4 Mpx in floats has 16 MB.
+# A step allocates and frees hundreds of arrays of a few MB. If glibc returns their memory to the system each
+# time, mapping and clearing pages takes longer than measuring. A float image of 4 Mpx has 16 MB.
 _MMAP_THRESHOLD, _TRIM_THRESHOLD = 64_000_000, 256_000_000  # bytes
 WORKER_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
@@ -26,17 +26,18 @@ WORKER_ENVIRONMENT = {
     "VECLIB_MAXIMUM_THREADS": "1",
     "MALLOC_MMAP_THRESHOLD_": str(_MMAP_THRESHOLD),
     "MALLOC_TRIM_THRESHOLD_": str(_TRIM_THRESHOLD),
-    "MALLOC_ARENA_MAX": "1",  # one for all threads, or each would keep its own
+    "MALLOC_ARENA_MAX": "1",  # one memory pool for all threads; otherwise each would keep its own
 }
 
-PRELOAD = "wavefield.execution.process"  # by workers
+PRELOAD = "wavefield.execution.process"  # module that workers import first
 
-# Chunks take minutes, so workers are checked less often than every few ms, which takes 4 % of a core each.
-# Chunks are independent: memory is not spilled, and a lost worker loses one chunk.
+# Settings of Dask. A chunk (a range of steps that one task measures) takes minutes, so workers are checked
+# less often than by default, which costs 4 % of a core per worker. Chunks are independent: memory is not
+# spilled to disk, and a lost worker loses one chunk.
 SETTINGS: dict[str, Any] = {
-    "distributed.scheduler.allowed-failures": 2,  # a chunk is given up when a third worker ends over it
-    "distributed.scheduler.worker-saturation": 1.0,  # or the chunks that wait for it would be blamed, too
-    # the scheduler shares the run's process, which compiles for a minute where it is new: workers wait for it
+    "distributed.scheduler.allowed-failures": 2,  # a chunk fails if a third worker ends while measuring it
+    "distributed.scheduler.worker-saturation": 1.0,  # otherwise waiting chunks would count as failed as well
+    # the scheduler runs in the run's process, which may compile for a minute: workers wait so long
     "distributed.scheduler.worker-ttl": "300s",
     "distributed.scheduler.active-memory-manager.start": False,
     "distributed.scheduler.http.routes": [],
@@ -88,15 +89,15 @@ def set_up_worker() -> None:
 
     cv2.setNumThreads(1)
     keep_memory()
-    if sys.platform != "win32":  # locks of libraries (Blosc's) then have no name, which would be left behind
+    if sys.platform != "win32":  # named locks of libraries such as Blosc would outlive the process
         multiprocessing.set_start_method("fork", force=True)
 
 
 def dask_setup(worker: Any) -> None:
     """Set up a worker before its first task; Dask calls this function of the preloaded module."""
     set_up_worker()
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # or it would finish its chunk after the run has ended
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run, which ends its workers
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # end at once, not after the chunk is finished
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C stops the run, which ends its workers
 
 
 def peak_memory() -> int:
@@ -124,7 +125,7 @@ def memory_error(error: Exception) -> StoreError | None:
 
 
 class Stopped(KeyboardInterrupt):
-    """Raised in place of KeyboardInterrupt if another signal or the time limit stops a run; names which."""
+    """Raised if a signal other than Ctrl-C, or the time limit, stops a run; its text names the cause."""
 
 
 def stopped_by(stop: KeyboardInterrupt) -> str:
@@ -143,8 +144,9 @@ def _in_main_thread() -> bool:
 
 @contextmanager
 def stop_signals(time_limit: float | None = None) -> Iterator[None]:
-    """Context manager: SIGTERM, SIGHUP, SIGUSR1 (Slurm's warning) and `time_limit`, s, raise Stopped.
-    Signals that the process ignores stay ignored; without effect outside the main thread.
+    """Context manager: SIGTERM, SIGHUP, SIGUSR1 (Slurm's warning) and the time limit (s) raise `Stopped`.
+
+    Signals that the process ignores stay ignored. Outside the main thread, this has no effect.
     """
     if not _in_main_thread():
         yield
@@ -171,8 +173,9 @@ def stop_signals(time_limit: float | None = None) -> Iterator[None]:
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Context manager: delay the signals that stop a run until the block ends; a second signal acts at once.
-    Interrupted early, distributed prints a traceback of another thread, and an import may lose Ctrl-C.
+    """Context manager: delay signals that stop a run until the block ends; a second signal acts at once.
+
+    Without this, a start of distributed that is interrupted prints tracebacks, and an import may lose Ctrl-C.
     """
     if not _in_main_thread():
         yield
@@ -204,13 +207,14 @@ def deferred_signals() -> Iterator[None]:
 
 @contextmanager
 def children_ignore_ctrl_c() -> Iterator[None]:
-    """Context manager: child processes start with SIGINT and SIGUSR1 blocked; the run ends them itself.
-    SIGUSR1 is Slurm's warning before a job's end.
+    """Context manager: child processes start with SIGINT and SIGUSR1 blocked.
+
+    The run itself ends them. SIGUSR1 is Slurm's warning before the end of a job.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    resource_tracker.ensure_running()  # or its start would let the signals through again
+    resource_tracker.ensure_running()  # its start would unblock the signals
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _numbers("SIGINT", "SIGUSR1"))
     try:
         yield

@@ -1,4 +1,4 @@
-"""The log next to a store, and the folder for the output of its jobs."""
+"""The log file of a run next to its store, and the folder for the output of Slurm jobs."""
 
 import logging
 import re
@@ -31,12 +31,13 @@ def jobs_folder(store: Path) -> Path:
 @contextmanager
 def log_file(store: Path) -> Iterator[None]:
     """Context manager: append the messages of a run to the log next to its store.
-    StoreError if another file has the name of the log, or if the log cannot be written.
+
+    Raises StoreError if another file has the name of the log, or if the log cannot be written.
     """
     with writing(store):
         store.parent.mkdir(parents=True, exist_ok=True)
         path = log_path(store)
-        check_replaceable(path, replace=path.is_file() and _is_log(path))  # it is added to
+        check_replaceable(path, replace=path.is_file() and _is_log(path))  # the log is appended to
         handler = logging.FileHandler(log_path(store), delay=False)
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     handler.handleError = lambda record: None  # type: ignore[method-assign]  # a full disk must not hide the cause

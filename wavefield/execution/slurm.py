@@ -1,4 +1,4 @@
-"""Slurm jobs as workers, by dask-jobqueue: their submission, and why they do not start."""
+"""Run workers as Slurm jobs with dask-jobqueue, and report why jobs do not start."""
 
 import getpass
 import inspect
@@ -19,8 +19,8 @@ from wavefield.execution.workflow import Workflow
 log = logging.getLogger("wavefield.run")
 
 _POLL_SECONDS = 10.0  # between queries of Slurm
-_CHECKS = 2  # Slurm may list a job late, and its worker may connect late
-_MAX_LINE = 300  # characters of a log in a message
+_CHECKS = 2  # checks without a job before a run ends: jobs may be listed late, workers connect late
+_MAX_LINE = 300  # characters of a log line that are quoted in a message
 
 
 def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
@@ -37,7 +37,7 @@ def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
     from distributed.deploy.spec import ProcessInterface
 
     class Job(SLURMJob):
-        """Keeps the reason why sbatch refuses a job; Dask would print a traceback and wait for ever."""
+        """A job that keeps the reason if sbatch refuses it; Dask would print a traceback and wait forever."""
 
         refused = ""
 
@@ -99,7 +99,7 @@ def _import_jobqueue() -> None:
 
         if signal.getsignal(signal.SIGINT) is not interrupt:
             signal.signal(signal.SIGINT, interrupt)
-    except ValueError:  # of its own import in another thread
+    except ValueError:  # signal handlers can only be set in the main thread
         raise ExperimentError("cluster: slurm is started from the main thread; call `run` there") from None
 
 
@@ -113,18 +113,19 @@ def _keywords(workflow: Workflow, logs: Path) -> dict[str, Any]:
         if not isinstance(value, dict)
     }
     lines = [f"export {name}={str(value)!r}" for name, value in environment.items()]
-    # compiled kernels: not on a home that may be full and is shared by nodes of several kinds
+    # cache of compiled kernels: not in the home folder, which may be full and
+    # is shared by different processors
     lines.append('export NUMBA_CACHE_DIR="${NUMBA_CACHE_DIR:-${TMPDIR:-/tmp}/wavefield-$(id -u)}"')
     return {
         "cores": cores,
         "processes": cores,
-        # Slurm supervises the only worker of a job; a nanny would import everything once more
+        # Slurm supervises a job with one worker; Dask's nanny process would import everything again
         "nanny": _processes(workflow) > 1,
         "job_name": "wavefield",
         "memory": f"{(workflow.memory_bytes or 2_000_000_000) * cores // 1_000_000} MB",
         "log_directory": str(logs),
         "local_directory": "/tmp",
-        "shared_temp_directory": str(logs),  # of the credentials
+        "shared_temp_directory": str(logs),  # for the TLS credentials
         "security": True,
         "death_timeout": 120,
         "silence_logs": "critical",
@@ -158,7 +159,7 @@ class QueueWatch:
         self._cluster = cluster
         self._checked_at = time.monotonic()
         self._reported = ""
-        self._gone = 0  # checks in a row that found no job queued or running
+        self._gone = 0  # number of successive checks without a queued or running job
 
     def __call__(self, client: Any) -> None:
         """Check the jobs while there are no workers, at most every 10 s; `client` is that of the cluster."""
@@ -228,6 +229,6 @@ def why_ended(numbers: Sequence[str], logs: Path) -> str:
             if lines:
                 return f"{head}{path} ends with: {lines[-1][:_MAX_LINE]}"
     return (
-        f"{head}it left no log in {logs}: is that a folder on a disk that all nodes share, with room, and is "
-        f"{sys.executable} there on the nodes (`python` in the `slurm` block names another)?"
+        f"{head}it left no log in {logs}: check that all nodes share this folder, that its disk has space, "
+        f"and that the nodes have {sys.executable} (`python` in the `slurm` block names another)"
     )

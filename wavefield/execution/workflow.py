@@ -1,4 +1,4 @@
-"""How to process: where the work is done, and which settings differ from the experiment's own."""
+"""The workflow file: cluster, resources, and settings that replace those of the experiment."""
 
 import re
 from pathlib import Path
@@ -8,7 +8,7 @@ from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from wavefield.config_files import ConfigSection, load
 
-_LEAST_MEMORY = 500_000_000  # bytes of a worker: with its libraries alone it has a third of this
+_LEAST_MEMORY = 500_000_000  # bytes per worker; its libraries alone take a third of this
 
 
 class Between(ConfigSection):

@@ -12,11 +12,7 @@ from wavefield.store.layout import add_array
 from wavefield.variables import Variable, annotate, register, rows_of
 
 GROUP, KIND = "pair_statistics", "pair statistics"
-_TEXTS = (
-    "quantity",
-    "cameras",
-    "units",
-)  # coordinates, kept as attributes: Zarr 3 has no fixed-length strings
+_TEXTS = ("quantity", "cameras", "units")  # kept as attributes: Zarr 3 has no fixed-length strings
 
 register(
     Variable(
