@@ -136,15 +136,6 @@ def test_a_rig_without_a_unit_whose_cameras_would_be_far_apart_is_refused(tmp_pa
     assert load_rig(tmp_path / "stereo.mat", unit="m")["cam2"].centre[0] == pytest.approx(100.0)
 
 
-def test_the_unit_that_vic_states_is_taken(tmp_path):
-    rig = Rig({f"cam{n}": random_camera(n, "p1", "p2", "tau_x", "tau_y") for n in (1, 2)})
-    text = vic_xml(rig).replace("<calibration>", '<calibration units="inches">')
-    (tmp_path / "cal.xml").write_text(text)
-    found = load_rig(tmp_path / "cal.xml")
-    assert np.linalg.norm(found["cam1"].T) == pytest.approx(25.4 * np.linalg.norm(rig["cam1"].T))
-    assert found.provenance["imported"]["unit"] == "inch"
-
-
 def test_opencvs_two_files_are_read_as_one(tmp_path):
     rig = Rig({f"cam{n}": random_camera(n, "tau_x", "tau_y", "skew") for n in (1, 2)})
     save_rig(rig, tmp_path / "all.yml", "opencv")

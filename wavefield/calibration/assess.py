@@ -1,6 +1,6 @@
 """Check the views before a calibration, and assess the rig after it, with a sentence for each problem."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -50,7 +50,7 @@ def _rms(values: Array) -> float:
 
 
 def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> FlatSurface | None:
-    """Triangulate the nodes of the target in one pose; None if two cameras share fewer than ten."""
+    """Triangulate the nodes of the target in one pose; None if two or more cameras see fewer than ten."""
     o = observations
     N, C = len(o.nodes), len(o.cameras)
     apparent, sight = np.full((C, 2, N), np.nan), np.full((C, 2, N), np.nan)
@@ -90,7 +90,7 @@ def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float
     return float(np.median(depth) / np.sqrt(g.lens[camera, 0] * g.lens[camera, 1]))
 
 
-def numbers(
+def residual_summary(
     observations: Observations, fit: Fit, rig: Rig, reference: str
 ) -> tuple[dict[str, Any], FlatSurface | None]:
     """Residuals, epipolar distances and flatness of the target, for the calibration's report page."""
@@ -197,7 +197,7 @@ def calibrate_each(
     usable: UsableViews,
     mesh: float,
     origin: tuple[float, float],
-    flats: Sequence[str],
+    flat: str,
     findings: Findings,
 ) -> dict[str, SingleCamera]:
     """Calibrate each camera alone; views that are not a plane grid are removed from `usable`."""
@@ -214,7 +214,7 @@ def calibrate_each(
             findings.leave_out(name, pose, len(usable[name].pop(pose)), "its points are not a plane grid")
         if camera.known_heights:
             continue
-        tilted = [p for p in camera.poses if p not in flats]
+        tilted = [p for p in camera.poses if p != flat]
         if len(camera.poses) < 3:
             findings.problems.append(
                 f"{name} has {len(camera.poses)} usable view{'s' * (len(camera.poses) != 1)} of the target; "
@@ -256,6 +256,7 @@ def consistent_cameras(
 def _report_inconsistency(
     consistency: PoseConsistency, single: Mapping[str, SingleCamera], mesh: float, findings: Findings
 ) -> None:
+    """Add a problem for each inconsistent camera, and test whether mirrored images explain it."""
     right = [name for name in single if name not in consistency.wrong_cameras]
     for name in consistency.wrong_cameras:
         flipped = compare_poses({**{n: single[n] for n in right}, name: mirrored(single[name])}, mesh)

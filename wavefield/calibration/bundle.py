@@ -44,33 +44,28 @@ class ParameterLayout:
     names: tuple[str, ...]  # One per parameter
     lens: tuple[tuple[tuple[int, str], ...], ...]  # Per camera: (position, lens parameter)
     camera: tuple[int, ...]  # Per camera: position of the first of six, rotation vector and translation
-    # Per pose: (position, which of the same six) of the free ones; empty for a pose that defines the frame
-    pose: tuple[tuple[tuple[int, int], ...], ...]
+    pose: tuple[int | None, ...]  # Per pose: position of the first of the same six; None for a fixed pose
 
     def pose_step(self, p: int, x: Array) -> Array:
         """Rotation vector and translation (6,) by which parameters x (p,) move pose p."""
-        step = np.zeros(6)
-        for k, which in self.pose[p]:
-            step[which] = x[k]
-        return step
+        k = self.pose[p]
+        return np.zeros(6) if k is None else x[k : k + 6]
 
-    def with_pose(self, name: str, free: Sequence[int]) -> "ParameterLayout":
-        """The layout with one more pose, of which the parameters `free` (0 to 5) are fitted."""
-        moves = tuple((len(self.names) + k, which) for k, which in enumerate(free))
-        names = (f"{name} {('R1', 'R2', 'R3', 'x', 'y', 'z')[which]}" for which in free)
-        return replace(self, names=(*self.names, *names), pose=(*self.pose, moves))
+    def with_pose(self, name: str, free: bool) -> "ParameterLayout":
+        """The layout with one more pose, which is fixed unless it is free."""
+        names = [f"{name} {part}" for part in ("R1", "R2", "R3", "x", "y", "z") if free]
+        first = len(self.names) if free else None
+        return replace(self, names=(*self.names, *names), pose=(*self.pose, first))
 
 
 def layout(
     observations: Observations,
     models: Sequence[Sequence[str]],
     reference: int,
-    flat: Sequence[int] = (),
     placed: Sequence[int] = (),
 ) -> ParameterLayout:
     """Lay out the parameters of the joint fit.
-    `models` holds the free lens terms of each camera. The pose `reference` and those in `placed` are fixed;
-    those in `flat` stay on z = 0.
+    `models` holds the free lens terms of each camera. The pose `reference` and those in `placed` are fixed.
     """
     names: list[str] = []
     lens, camera = [], []
@@ -84,7 +79,7 @@ def layout(
     observed = set(np.unique(observations.pose).tolist())
     for p, name in enumerate(observations.poses):
         fixed = p == reference or p in placed or p not in observed
-        plan = plan.with_pose(name, () if fixed else (2, 3, 4) if p in flat else range(6))
+        plan = plan.with_pose(name, free=not fixed)
     return plan
 
 
@@ -154,14 +149,15 @@ def linearised(
         by_node[rows] = by_world @ now.pose_R[o.pose[rows]]
         for p in np.unique(o.pose[rows]):
             here = o.pose[rows] == p
+            first = plan.pose[p]
+            if first is None:
+                continue
             _, turn = _turned(start.pose_R[p], plan.pose_step(p, x)[:3])
-            for k, which in plan.pose[p]:
-                if which < 3:
-                    J[rows[here], :, k] = np.einsum(
-                        "nij,nj->ni", by_world[here], local[rows[here]] @ turn[which].T
-                    )
-                else:
-                    J[rows[here], :, k] = by_world[here][:, :, which - 3]
+            for i in range(3):
+                J[rows[here], :, first + i] = np.einsum(
+                    "nij,nj->ni", by_world[here], local[rows[here]] @ turn[i].T
+                )
+            J[rows[here], :, first + 3 : first + 6] = by_world[here]
     return pixel, J, by_node
 
 
@@ -289,17 +285,16 @@ def fit(
     start: Geometry,
     models: Sequence[Sequence[str]],
     reference: int,
-    flat: Sequence[int] = (),
     target_std: float = 0.0,
     noise_scale: float | None = None,
     placed: Sequence[int] = (),
 ) -> Fit:
     """Fit cameras and poses to all observations, with Huber's loss beyond four standard deviations.
-    `models` to `placed` are as in `layout`. The standard deviation of the nodes' offsets is `target_std`,
-    metres. `noise_scale` is the residuals' standard deviation if known, in units of the stated one.
+    `models`, `reference` and `placed` are as in `layout`. The standard deviation of the nodes' offsets is
+    `target_std`, metres. `noise_scale` is the residuals' standard deviation over the stated one, if known.
     """
     o = observations
-    plan = layout(o, models, reference, flat, placed)
+    plan = layout(o, models, reference, placed)
     start = replace(start, offset=np.zeros_like(start.offset))
     inverse = 1.0 / np.repeat(o.std, 2)
     whitener: Whitener | None = None

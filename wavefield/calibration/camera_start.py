@@ -27,7 +27,7 @@ def camera_to_camera(a: Pose, b: Pose) -> Pose:
 
 
 def mean_pose(poses: Iterable[Pose]) -> Pose:
-    """Mean rotation, projected onto a rotation matrix, and median translation."""
+    """Mean pose of similar poses: the mean rotation, made orthogonal, and the median translation."""
     rotations, translations = zip(*poses, strict=True)
     U, _, V = np.linalg.svd(np.mean(np.stack(rotations), axis=0))
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V, np.median(translations, axis=0)
@@ -117,6 +117,7 @@ def calibrate_single(observations: Observations) -> SingleCamera:
 
 
 def _first_fit(o: Observations, start: Geometry, poses: list[int]) -> Fit:
+    """Fit one camera; fewer than three poses do not determine its principal point, which then stays."""
     used = o.only(np.isin(o.pose, poses))
     terms = ("f", "k1") if len(poses) < 3 else START_TERMS
     return fit(used, start, [terms], poses[0], placed=o.placed)
@@ -241,7 +242,7 @@ class _Pair:
     good: Mapping[str, bool] = field(default_factory=dict)  # Whether each pose agrees
 
 
-def by_common_pose(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
+def transforms_by_pose(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
     """Transformations from camera a's frame to camera b's, one from each pose that both observed."""
     return {pose: camera_to_camera(a.poses[pose], b.poses[pose]) for pose in a.poses if pose in b.poses}
 
@@ -264,7 +265,7 @@ def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsi
 
 def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> _Pair | None:
     """Consistency of two cameras; None if they share no pose."""
-    common = by_common_pose(a, b)
+    common = transforms_by_pose(a, b)
     if len(common) < 2:
         return _Pair(True) if common else None
     angles = np.array([[angle_between(A, B) for B, _ in common.values()] for A, _ in common.values()])
@@ -306,7 +307,7 @@ def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) -> Array:
-    """Distance (3,), metres, between the target's origins by cameras a and b, across b's sight line.
+    """Displacement (3,), metres, between the target's origins by cameras a and b, across b's sight line.
     R and t transform from camera a's frame to camera b's.
     """
     expected = R @ a.poses[pose][1] + t
@@ -327,11 +328,11 @@ def linked_cameras(cameras: Mapping[str, SingleCamera], first: str) -> dict[str,
     out: dict[str, Pose] = {first: (np.eye(3), np.zeros(3))}
     while True:
         rest = [b for b in cameras if b not in out]
-        links = [(len(by_common_pose(cameras[a], cameras[b])), a, b) for a in out for b in rest]
+        links = [(len(transforms_by_pose(cameras[a], cameras[b])), a, b) for a in out for b in rest]
         count, a, b = max(links, default=(0, "", ""))
         if not count:
             return out
-        R, t = mean_pose(by_common_pose(cameras[a], cameras[b]).values())
+        R, t = mean_pose(transforms_by_pose(cameras[a], cameras[b]).values())
         Ra, ta = out[a]
         out[b] = R @ Ra, R @ ta + t
 
@@ -341,22 +342,20 @@ class PhysicalFrame:
     """The poses of the target that define the physical frame."""
 
     reference: int  # The pose whose axes are those of the frame
-    flat: tuple[int, ...] = ()  # Poses on z = 0, which may be turned about z and shifted
     placed: tuple[int, ...] = ()  # Poses whose nodes have known positions in the frame
     level: bool = True  # Whether these poses define z = 0
 
 
-def physical_frame(observations: Observations, flats: Sequence[str], findings: Findings) -> PhysicalFrame:
-    """Choose the physical frame: that of placed or flat poses, else of the pose that most cameras saw."""
+def physical_frame(observations: Observations, flat: str, findings: Findings) -> PhysicalFrame:
+    """Choose the physical frame: that of placed poses or the flat one, else of the pose most cameras saw."""
     o = observations
     if o.placed:
         return PhysicalFrame(o.placed[0], placed=o.placed)
-    flat = tuple(o.poses.index(name) for name in flats if name in o.poses)
+    if flat in o.poses:
+        return PhysicalFrame(o.poses.index(flat))
     if flat:
-        return PhysicalFrame(flat[0], flat)
-    if flats:
         findings.problems.append(
-            f"no camera has a usable flat view ({', '.join(flats)}): photograph the target on the plane z = 0"
+            f"no camera has a usable flat view ({flat}): photograph the target on the plane z = 0"
         )
     else:
         findings.notes.append(
@@ -389,11 +388,10 @@ def start_geometry(
     T = np.stack([links[name][0] @ origin + links[name][1] for name in o.cameras])
     pose_R = np.stack([Q.T @ in_first[p][0] for p in o.poses])
     pose_t = np.stack([Q.T @ (in_first[p][1] - origin) for p in o.poses])
-    for q in frame.flat:  # exactly on z = 0: the fit only turns and shifts them within the plane
-        c, d = pose_R[q][0, 0], pose_R[q][1, 0]
-        c, d = c / np.hypot(c, d), d / np.hypot(c, d)
-        pose_R[q] = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]])
-        pose_t[q, 2] = 0.0
+    if frame.level and not frame.placed:  # put the flat target exactly on z = 0, without rounding errors
+        q = frame.reference
+        c, d = pose_R[q][:2, 0] / np.hypot(*pose_R[q][:2, 0])
+        pose_R[q], pose_t[q, 2] = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]]), 0.0
     for q in frame.placed:  # their nodes are given in the physical frame
         pose_R[q], pose_t[q] = np.eye(3), 0.0
     return Geometry(lens, R, T, pose_R, pose_t, np.zeros((len(o.nodes), 3)))

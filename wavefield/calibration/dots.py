@@ -28,7 +28,7 @@ from wavefield.robust import robust_std
 MIN_AREA = 6.0  # px^2 within the outline through a blob's outermost pixels, as of a dot four pixels wide
 # area of a blob over that of the ellipse with its moments: dot 1, square 0.95, triangle 0.83
 MIN_FULLNESS = 0.7
-MAX_HOLE = 0.6  # brightness of a ring's hole relative to the ring, if the ring is thin or blurred
+MAX_HOLE = 0.6  # brightness of a ring's hole over that of the ring; the holes of blurred rings are not dark
 MIN_CORE = 0.25  # of a dot's contrast; brighter pixels belong to the dot
 MAX_WEIGHT = 0.8  # of a dot's brightness: brighter pixels have equal weight, as paint and light are uneven
 
@@ -146,7 +146,7 @@ def shape_of(target: Target) -> tuple[int, int]:
     return target.shape
 
 
-def right_handed(
+def number_right_handed(
     image: Image | None, node: Nodes, pixel: Array, shape: tuple[int, int]
 ) -> tuple[Nodes, tuple[str, ...]]:
     """Number a complete grid right-handed seen from above; returns the indices (n, 2) and notes.
@@ -176,6 +176,7 @@ def right_handed(
 
 
 def _first_square_dark(image: Image, node: Nodes, pixel: Array, shape: tuple[int, int]) -> bool:
+    """Whether the square of a chessboard between nodes (0, 0) and (1, 1) is dark."""
     a, b = (v.ravel() for v in np.meshgrid(np.arange(shape[0] - 1), np.arange(shape[1] - 1)))
     x, y = np.rint(SmoothMap(node, pixel)(np.stack([a, b], -1) + 0.5)).astype(int).T
     height, width = image.shape
@@ -277,7 +278,7 @@ def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> t
         )
     if tuple(span) != shape:  # the lattice's first axis is the target's second
         node = np.stack([node[:, 1], span[0] - 1 - node[:, 0]], -1)
-    return right_handed(None, node, pixel, shape)
+    return number_right_handed(None, node, pixel, shape)
 
 
 def dot_lattice(blobs: Blobs, size: tuple[int, ...]) -> TargetLattice | None:

@@ -27,8 +27,8 @@ class PredictedErrors:
 def predict_errors(observations: Observations, result: Fit, level: bool = True) -> PredictedErrors:
     """Propagate the covariance of the fit to pixels and to z; `level` is whether z = 0 is known."""
     o = observations
-    points = volume(o, result, level)
-    _, J, by_point = at_points(o, result, points)
+    points = volume_points(o, result, level)
+    _, J, by_point = project_points(o, result, points)
     C, n = len(o.cameras), len(points)
     cov = result.covariance
     reprojection = np.sqrt(np.einsum("cnip,pq,cniq->c", J, cov, J, optimize=True) / (2 * n))
@@ -50,7 +50,7 @@ def predict_errors(observations: Observations, result: Fit, level: bool = True) 
     )
 
 
-def at_points(observations: Observations, result: Fit, points: Array) -> tuple[Array, Array, Array]:
+def project_points(observations: Observations, result: Fit, points: Array) -> tuple[Array, Array, Array]:
     """Pixels (C, n, 2) of points (n, 3), metres, of the physical frame, with their derivatives.
     The derivatives are (C, n, 2, p) by the fit's parameters and (C, n, 2, 3) by the points.
     """
@@ -59,12 +59,12 @@ def at_points(observations: Observations, result: Fit, points: Array) -> tuple[A
     # treat the points as a target whose pose is fixed in the physical frame
     probe = Observations.of_points(o.cameras, o.sizes, (*o.poses, "volume"), n)
     geometry = replace(result.geometry.with_pose(np.eye(3), np.zeros(3)), offset=points)
-    plan = result.layout.with_pose("volume", ())
+    plan = result.layout.with_pose("volume", free=False)
     pixel, J, by_point = linearised(geometry, plan, np.zeros(len(plan.names)), probe)
     return pixel.reshape(C, n, 2), J.reshape(C, n, 2, -1), by_point.reshape(C, n, 2, 3)
 
 
-def volume(o: Observations, result: Fit, level: bool) -> Array:
+def volume_points(o: Observations, result: Fit, level: bool) -> Array:
     """Points (n, 3), metres, that fill the volume where the rig will be used.
     They are within `HEIGHT` of z = 0 over the field that all cameras see, or over the target if there is no
     such field. If z = 0 is unknown, they are positions of the target's nodes.
@@ -109,14 +109,14 @@ def terms_of(model: str) -> tuple[str, ...] | None:
     return terms
 
 
-def choose(
+def choose_model(
     fit_model: Callable[[tuple[str, ...]], Fit],
     observations: Observations,
     level: bool,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[str, Fit]:
-    """Choose the camera model with the least expected error in `volume`; returns its terms and its fit.
-    Among models that are nearly as good, it is the one with the fewest parameters.
+    """Choose the camera model with the least expected error where the rig will be used (`volume_points`).
+    Among models that are nearly as good, it is the one with the fewest parameters. Returns its terms and fit.
     """
     o, count = observations, 2 * len(observations)
     fits: dict[str, Fit] = {}
@@ -134,7 +134,7 @@ def choose(
     reference = min(fits, key=bic)
     # The BIC is dominated by the images' edges. It may choose a lens that fits these slightly better but
     # predicts the middle ten times worse, so a focused criterion (Claeskens and Hjort 2003) decides.
-    expected = _expected(fits, reference, o, volume(o, fits[reference], level))
+    expected = _expected(fits, reference, o, volume_points(o, fits[reference], level))
     near = [name for name in fits if expected[name] <= EQUIVALENT_RATIO * min(expected.values())]
     best = min(near, key=lambda name: len(fits[name].layout.names))
     return best, fits[best]
@@ -145,7 +145,7 @@ def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: 
     pixel: dict[str, Array] = {}
     variance: dict[str, float] = {}
     for name, f in fits.items():
-        pixel[name], J, _ = at_points(o, f, points)
+        pixel[name], J, _ = project_points(o, f, points)
         variance[name] = float(np.einsum("cnip,pq,cniq->", J, f.covariance, J, optimize=True))
     size = pixel[reference].size
     out = {}

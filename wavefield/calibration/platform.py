@@ -189,9 +189,7 @@ def jackknife_std(
     They are NaN if all instants show the same waves; with a horizon, that of the tilt is then the horizon's.
     """
     # leave out successive instants together, because they show the same waves
-    groups = [
-        part for part in np.array_split(np.arange(len(matches)), min(GROUPS, len(matches))) if len(part)
-    ]
+    groups = np.array_split(np.arange(len(matches)), min(GROUPS, len(matches)))
     first = next(iter(fit.cameras))
     name, points = next((item for item in horizons.items()), (first, None))
     of_horizon = HORIZON_ERROR / fit.cameras[name].fy if points is not None else 0.0
@@ -324,6 +322,7 @@ def _residuals(
     distance: float | None,
     instants: int,
 ) -> Array:
+    """Residuals of `fit_platform` after a step x, each over its expected size."""
     now = _stepped(fit, x, distance)
     out = []
     for one, (noise, expected) in zip(kept, sizes, strict=True):

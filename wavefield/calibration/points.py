@@ -96,6 +96,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
+    """Image size (width, height) from a comment in the file; None if there is none."""
     for line in lines:
         words = line.lstrip("#").split()
         if line.startswith("#") and words[:1] == ["size"]:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.calibration.dots import make_points, right_handed, shape_of
+from wavefield.calibration.dots import make_points, number_right_handed, shape_of
 from wavefield.calibration.lattice import mesh_length
 from wavefield.calibration.observations import LIMITS
 from wavefield.calibration.points import Image, Nodes, TargetPoints
@@ -26,7 +26,7 @@ def find_chessboard(image: Image, target: Target) -> TargetPoints:
         )
     node = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2)
     pixel = _refined(image, node, pixel)
-    node, notes = right_handed(image, node, pixel, (nx, ny))
+    node, notes = number_right_handed(image, node, pixel, (nx, ny))
     return make_points(image, node, pixel, notes)
 
 

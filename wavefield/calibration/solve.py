@@ -19,7 +19,7 @@ from wavefield.calibration.camera_start import PhysicalFrame, physical_frame, st
 from wavefield.calibration.model_choice import (
     CANDIDATES,
     PredictedErrors,
-    choose,
+    choose_model,
     predict_errors,
     terms_of,
 )
@@ -34,7 +34,6 @@ from wavefield.calibration.observations import (
 from wavefield.calibration.points import Mask
 from wavefield.calibration.target import Target
 from wavefield.rig import Rig
-from wavefield.rig.lens import Array
 from wavefield.robust import robust_std
 
 MAX_ROUNDS = 4  # of fitting and rejecting outliers, so that up to four views can be rejected
@@ -82,17 +81,12 @@ class Calibration:
     target_std: float = 0.0
     reference: str = ""
 
-    @property
-    def node_offsets(self) -> Array:
-        """Deviation of each of ``observations.nodes`` from its nominal position, (N, 3), metres."""
-        return np.zeros((0, 3)) if self.fit is None else self.fit.geometry.offset
-
 
 def calibrate(
     views: Views,
     target: Target | float,
     *,
-    flat: str | Sequence[str] = "flat",
+    flat: str = "flat",
     model: str = "auto",
     target_std: float = 0.0,
     camera_distance: Mapping[str, float] | None = None,
@@ -107,10 +101,9 @@ def calibrate(
         positions in the physical frame are known (a target moved along z by known steps).
     target : Target or float
         The target, or its mesh, metres.
-    flat : str or sequence of str, default "flat"
-        The pose on the plane z = 0; its axes are those of the physical frame. Further names are poses
-        on the same plane, turned or shifted. Without a flat pose, the pose that most cameras saw defines the
-        frame; level the rig on the water afterwards.
+    flat : str, default "flat"
+        The pose on the plane z = 0; its axes are those of the physical frame. If it is empty, the pose that
+        most cameras saw defines the frame; level the rig on the water afterwards.
     model : str, default "auto"
         Free terms of the camera model, such as ``f tilt k1`` (`wavefield.calibration.bundle.TERMS`).
         ``auto`` chooses the model with the least expected error where the rig will be used (`model_choice`).
@@ -158,21 +151,18 @@ def calibrate(
     (True, [0.003, 0.002, 4.35])
     """
     mesh, origin = (target, (0.0, 0.0)) if isinstance(target, float | int) else (target.mesh, target.origin)
-    flats = [name for name in ([flat] if isinstance(flat, str) else flat) if name]
     findings = Findings()
     if progress:
         progress(0, len(CANDIDATES))
     usable = usable_views(views, findings)
-    single = calibrate_each(usable, mesh, origin, flats, findings)
+    single = calibrate_each(usable, mesh, origin, flat, findings)
     if not single:
-        if not findings.problems:
-            findings.problems.append("no camera has a view of the target: photograph it with all cameras")
         return Calibration(
             Rig({}), False, tuple(findings.problems), tuple(findings.notes), left_out=findings.left_out
         )
     consistent = consistent_cameras(single, usable, mesh, findings)
     observations = collect({name: usable[name] for name in consistent}, mesh, origin)
-    frame = physical_frame(observations, flats, findings)
+    frame = physical_frame(observations, flat, findings)
     geometry = start_geometry(observations, consistent, frame)
     observations, result, chosen = _fit_and_choose(
         observations, geometry, frame, terms_of(model), target_std, findings, progress
@@ -212,7 +202,7 @@ def _fit_and_choose(
     def run(terms: tuple[str, ...], begin: Geometry, scale: float | None = None) -> Fit:
         begin = _restricted(begin, terms, o)
         models = [terms] * len(o.cameras)
-        return fit(o, begin, models, frame.reference, frame.flat, target_std, scale, frame.placed)
+        return fit(o, begin, models, frame.reference, target_std, scale, frame.placed)
 
     result = run(terms, start)
     for _ in range(MAX_ROUNDS):
@@ -224,7 +214,7 @@ def _fit_and_choose(
     if model:
         return o, result, " ".join(model)
     scale, begin = result.scale, result.geometry
-    name, result = choose(lambda terms: run(terms, begin, scale), o, frame.level, progress)
+    name, result = choose_model(lambda terms: run(terms, begin, scale), o, frame.level, progress)
     return o, result, name
 
 

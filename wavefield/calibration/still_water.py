@@ -261,6 +261,7 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
 
 
 def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
+    """The verdict on the rig, and the solutions for each camera that may have moved."""
     solutions: dict[str | None, Solution] = {None: problem.solve(())}
     for name in problem.names:
         solutions[name] = problem.solve((name,))
@@ -303,6 +304,7 @@ def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
 
 
 def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: float, after: float) -> RigCheck:
+    """The verdict that camera `best` has moved, from misfits before and after its correction, px."""
     if after > max(0.5 * before, SHARP_MISFIT_PX):
         text = f"sight lines miss by {before:.2f} px, and by {after:.2f} px with one turned: {_OTHER_CAUSES}"
         return RigCheck(before, after, None, faulty, angle, text)
@@ -315,6 +317,7 @@ def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: floa
 
 
 def _refined(problem: SightLineFit, solution: Solution, check: RigCheck) -> Rig:
+    """The rig of a solution, with a note in its provenance."""
     note = {
         "misfit_before_px": check.misfit,
         "misfit_after_px": solution.misfit,

@@ -223,7 +223,7 @@ def find_strings(image: Image, target: Target) -> TargetPoints:
     """
     lattice, scale = best_lattice(image)
     node, pixel = lattice.node, lattice.pixel
-    node = numbered_from_marks(image, _map(node, pixel), node)
+    node = numbered_from_marks(image, _smooth_map(node, pixel), node)
     fit, node, notes = _fitted(image, node, pixel, scale)
     height, width = image.shape
     return TargetPoints(node, fit.pixel, fit.std, (width, height), notes)
@@ -234,7 +234,7 @@ def _fitted(
 ) -> tuple[Crossings, Nodes, tuple[str, ...]]:
     """Fit all crossings, add the missing ones, reject implausible ones, and fit again with measured noise."""
     height, width = image.shape
-    smooth = _map(node, pixel)
+    smooth = _smooth_map(node, pixel)
     node = node[~_under_marks(node)]
     pixel, slopes = smooth(node), smooth.slopes(node)
     blur = float(np.median(BLURS))
@@ -247,7 +247,7 @@ def _fitted(
     blur = _lens_blur(image, fit, slopes, good)
     parameters, node = fit.parameters[good], node[good]
     for _ in range(3):
-        smooth = _map(node, parameters[:, :2])
+        smooth = _smooth_map(node, parameters[:, :2])
         missing = _missing(node)
         expected = smooth(missing)
         inside = ((expected > 1) & (expected < [width - 2, height - 2])).all(1)
@@ -264,9 +264,9 @@ def _fitted(
             break
     slopes = smooth.slopes(node)
     fit = fit_crossings(image, parameters, slopes, blur, noise)
-    good = _plausible(fit, _map(node, fit.pixel)(node), slopes) & _like_neighbours(fit)
+    good = _plausible(fit, _smooth_map(node, fit.pixel)(node), slopes) & _like_neighbours(fit)
     good &= ((fit.pixel > -0.5) & (fit.pixel < [width - 0.5, height - 0.5])).all(1)
-    good[good] = _map(node[good], fit.pixel[good]).inlier(fit.std[good])
+    good[good] = _smooth_map(node[good], fit.pixel[good]).inlier(fit.std[good])
     if good.sum() < LIMITS.min_nodes:
         raise CalibrationError(
             f"only {good.sum()} usable crossings of strings were found, {LIMITS.min_nodes} at least are "
@@ -282,7 +282,8 @@ def _under_marks(node: Nodes) -> Mask:
     return out
 
 
-def _map(node: Nodes, pixel: Array) -> SmoothMap:
+def _smooth_map(node: Nodes, pixel: Array) -> SmoothMap:
+    """The smooth map of the nodes; a CalibrationError if they do not lie on a plane."""
     try:
         return SmoothMap(node, pixel)
     except ValueError:

@@ -116,6 +116,7 @@ def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
 
 
 def _right_handed(level: PlateLevel, index: Array, x: Nodes, y: Nodes) -> bool:
+    """Whether steps x and y (2,) at a node are right-handed seen from above."""
     slopes = level.smooth.slopes(np.asarray(index, float)[None])[0]
     return cross(x @ slopes, y @ slopes) < 0  # image rows run downwards
 

@@ -10,7 +10,7 @@ import yaml
 from matplotlib.figure import Figure
 
 from wavefield.atomic_write import Product, write_text
-from wavefield.calibration.assess import FlatSurface, numbers
+from wavefield.calibration.assess import FlatSurface, residual_summary
 from wavefield.calibration.bundle import Fit
 from wavefield.calibration.observations import Observations
 from wavefield.calibration.solve import Calibration
@@ -61,7 +61,7 @@ def write_calibration(
         drawn.append(("target", "The target as it was found in an image of each camera", found))
     observations, fit = calibration.observations, calibration.fit
     if observations is not None and fit is not None and calibration.predicted is not None:
-        fitted, surface = numbers(observations, fit, calibration.rig, calibration.reference)
+        fitted, surface = residual_summary(observations, fit, calibration.rig, calibration.reference)
         content |= fitted | _predicted(calibration)
         content["parameters"] = _parameters(calibration, observations, fit)
         drawn += _figures(calibration, observations, fit, surface)

@@ -127,6 +127,7 @@ class Camera:
         return self.p1, self.p2
 
     def _to_pixels(self, a: Array, b: Array) -> tuple[Array, Array]:
+        """Pixels of tangents, with distortion and sensor tilt."""
         x, y = distort(a, b, self._radial, self._tangential)
         if self._tilt is not None:
             x, y, _ = apply_homography(self._tilt, x, y)
@@ -136,6 +137,7 @@ class Camera:
         return X, self.fy * y + self.cy
 
     def _to_tangents(self, X: Array, Y: Array) -> tuple[Array, Array]:
+        """Tangents of pixels: the inverse of `_to_pixels`."""
         y = (Y - self.cy) / self.fy
         x = (X - self.cx - self.skew * y) / self.fx
         if self._tilt is not None:
@@ -189,6 +191,7 @@ class Camera:
         return self._to_pixels(a, b)
 
     def _tangents_of(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array, Array]:
+        """Tangents of physical points, and their depth zc, metres; NaN behind the camera."""
         x, y, z = np.asarray(x, float), np.asarray(y, float), np.asarray(z, float)
         (r1, r2, r3), (r4, r5, r6), (r7, r8, r9) = self.rotation
         tx, ty, tz = self.translation
@@ -420,6 +423,7 @@ _OPTIONAL = {"k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew"}
 
 
 def _terms_of_opencv(D: ArrayLike | None) -> dict[str, float]:
+    """Lens terms by name from OpenCV's distortion coefficients; a RigError for terms that `Camera` lacks."""
     given = np.zeros(0) if D is None else np.ravel(np.asarray(D, float))
     if given.size not in (0, 4, 5, 8, 12, 14):
         raise RigError(f"it has {given.size} distortion coefficients; OpenCV's models have 4, 5, 8, 12 or 14")

@@ -103,6 +103,7 @@ def view_on_water(camera: Camera) -> NDArray[np.float64]:
 
 
 def _round_up(length: float) -> float:
+    """The next 1, 2, 5 or 10 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(round(power * next(m for m in (1, 2, 5, 10) if m * power >= length * (1 - 1e-9)), 12))
 

@@ -50,6 +50,7 @@ _inputs = [ArrayType(float64, axes, "A", readonly=True) for axes in (3, 2, 2, 2)
 
 @compiled(void(*_inputs, float64[:, ::1], float64[:, ::1]))
 def _solve(jacobian: Array, observed: Array, weight: Array, noise: Array, out: Array, std: Array) -> None:
+    """Solve the 3 x 3 normal equations of each point; `noise` holds the variances of the observations."""
     for n in range(observed.shape[0]):
         a = b = c = d = e = f = 0.0  # normal matrix [[a, b, c], [b, d, e], [c, e, f]]
         p = q = r = 0.0

@@ -157,21 +157,6 @@ def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
     return one, two, R, two.T - R @ one.T
 
 
-def stated_unit(element: ET.Element) -> str:
-    """Unit of length in an attribute or element ``unit`` or similar of an XML tree; empty if there is none.
-
-    Examples
-    --------
-    >>> stated_unit(ET.fromstring('<calibration units="m"><camera/></calibration>'))
-    'm'
-    """
-    for one in element.iter():
-        for name, value in [(one.tag, one.text or ""), *one.attrib.items()]:
-            if name.lower() in ("unit", "units", "lengthunit", "coordunit"):
-                return value
-    return ""
-
-
 def refuse_implausible(cameras: Sequence[StoredCamera], unit: str) -> None:
     """Raise a RigError if the unit of length is unknown and, in metres, the cameras are far apart."""
     centres = [-one.pose[0].T @ one.pose[1] for one in cameras]

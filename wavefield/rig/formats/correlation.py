@@ -1,7 +1,4 @@
-"""XML files of VIC-3D and DICe, two programs of digital image correlation.
-
-Lengths are in millimetres unless VIC-3D's file states another unit.
-"""
+"""XML files of VIC-3D and DICe, two programs of digital image correlation; lengths in millimetres."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -19,7 +16,6 @@ from wavefield.rig.formats.common import (
     numbers_of,
     rig_of_file,
     rotation_near,
-    stated_unit,
     turned_about_axes,
 )
 from wavefield.rig.rig import Rig
@@ -88,7 +84,7 @@ def load_vic(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
     """Read a project of VIC-3D."""
     mask = root.find(".//polygonmask")
     size = None if mask is None else (int(mask.attrib["width"]), int(mask.attrib["height"]))
-    length, unit = options.length("mm", stated_unit(root))
+    length, unit = options.length("mm")
     cameras = []
     for element in root.findall("calibration/camera"):
         values = [float(v) for v in (element.text or "").split()]

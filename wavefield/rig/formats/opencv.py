@@ -103,7 +103,7 @@ def load_opencv(path: Path, options: ImportOptions) -> Rig:
     if any(name.startswith("fisheyemodel") and value.any() for name, value in nodes):
         raise RigError("its lens is a fisheye, which has no camera model here: calibrate a perspective lens")
     other = path.with_name(path.name.replace("intrinsics", "extrinsics"))
-    if other != path and other.is_file():  # OpenCV's sample of stereo calibration writes these two
+    if other != path and other.is_file():  # OpenCV's stereo sample writes intrinsics.yml and extrinsics.yml
         nodes += _nodes(other)
     length, unit = options.length(None)
     note = {"program": "OpenCV", "file": path.name, "unit": unit or "m"}
