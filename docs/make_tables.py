@@ -88,12 +88,8 @@ def cube() -> str:
         *(("quality",), ("path_frames",), ("z_level_std",), ("frame_status",), ("frame_fault",)),
         tuple(f"gain/gain_{name}" for name in "zuvw"),
     )
-    rows = [
-        (line[0], line[2] + (line[1] and f" ({line[1]})"))
-        for names in lines
-        for line in [_line([TABLE[name] for name in names], usual=CUBE_DIMS)]
-    ]
-    return rows_to_table(("variable", "meaning (units)"), rows)
+    rows = [_line([TABLE[name] for name in names], usual=CUBE_DIMS) for names in lines]
+    return "\n".join(f"- {name}: {meaning}" + (unit and f" ({unit})") for name, unit, meaning in rows)
 
 
 def flags(meanings: dict, name: str) -> str:
@@ -120,9 +116,8 @@ def waves() -> str:
                 continue  # the page explains them once
             if any(row.meaning for row in rows) or (group == "spectra" and not name.startswith("valid")):
                 variable, unit, meaning = _line(rows, name)
-                lines.append((variable, meaning + (unit and f" ({unit})")))
-        table = rows_to_table(("variable", "meaning (units)"), lines) + "\n" if lines else ""
-        parts.append(f"## `/{group}`\n\n{words}\n\n{table}")
+                lines.append(f"- {variable}: {meaning}" + (unit and f" ({unit})"))
+        parts.append("\n".join([f"## `/{group}`\n\n{words}\n", *lines, ""]))
     return "\n".join(parts)
 
 
@@ -190,7 +185,7 @@ def keys(model: type[BaseModel], prefix: str = "", shown: str = "") -> list[Row]
             rows.append((first, value, "; ".join(text for text in (words, more) if text)))
             continue
         first = inner[0].__doc__.strip().splitlines()[0].rstrip(".") if inner else ""
-        plain = name in shown or re.fullmatch(r"[\d.]+", example)
+        plain = name in shown or re.fullmatch(r"[\d.]+", example) or example == field.default
         texts = (field.description or first, "" if plain or not example else f"`{example}`")
         meaning = "; ".join(text for text in texts if text).replace("|", "or")
         default = None if field.is_required() else field.get_default(call_default_factory=True)
@@ -230,17 +225,18 @@ def settings(kind: type, *presets: object) -> list[Row]:
     return rows
 
 
-def key_table(rows: list[Row]) -> str:
-    """A table of keys, with choices and default in brackets."""
-    lines = [(f"{key} ({value})" if value else key, meaning) for key, value, meaning in rows]
-    return rows_to_table(("key", "meaning"), lines)
+def key_list(rows: list[Row]) -> str:
+    """A list of keys, with choices and default in brackets."""
+    return "\n".join(
+        f"- {key}" + (value and f" ({value})") + (meaning and f": {meaning}") for key, value, meaning in rows
+    )
 
 
 def settings_table() -> str:
     """Settings of the measurement."""
     from wavefield.measurement import Settings
 
-    return key_table(settings(Settings))
+    return key_list(settings(Settings))
 
 
 def matching_table() -> str:
@@ -248,7 +244,7 @@ def matching_table() -> str:
     from wavefield.matching import MatchSettings
     from wavefield.measurement import Settings
 
-    return key_table(settings(MatchSettings, Settings().stereo, Settings().piv))
+    return key_list(settings(MatchSettings, Settings().stereo, Settings().piv))
 
 
 def experiment() -> str:
@@ -256,21 +252,21 @@ def experiment() -> str:
     from wavefield.series.experiment import Experiment
 
     page = (ROOT / "docs" / "experiment-file.md").read_text(encoding="utf-8")
-    return key_table(keys(Experiment, shown=page.partition("## Keys")[0]))
+    return key_list(keys(Experiment, shown=page.partition("## Keys")[0]))
 
 
 def workflow() -> str:
     """Keys of a workflow file."""
     from wavefield.execution.workflow import Workflow
 
-    return key_table(keys(Workflow))
+    return key_list(keys(Workflow))
 
 
 def target() -> str:
     """Keys of a calibration target."""
     from wavefield.calibration import Target
 
-    return key_table(settings(Target))
+    return key_list(settings(Target))
 
 
 def rooms() -> str:

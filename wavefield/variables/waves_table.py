@@ -152,7 +152,7 @@ rows(
 # ---- /coherence ----
 rows("coherence", ("k",), ("valid", "1", "where the waves exceed the noise"), dtype="bool")
 for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
-    _common = "complex, real part: mean over both signs of omega; those of `w` and `nl` add up to `tot`"
+    _common = "complex, with the real part a mean over both signs of omega; `w` and `nl` add up to `tot`"
     rows(
         "coherence",
         ("term", *_dims),
@@ -190,13 +190,12 @@ register(*_rows(Path(__file__).with_name("wave_variables.txt").read_text(encodin
 
 # groups of the wave store, in order, with the description of each in the documentation
 GROUPS = {
-    "spectra": "Here z is at frame times, not midway between"
-    " two frames. The quantity `nl` is the nonlinear term (u - U) . grad z, with the mean current U, and"
-    " `rise` is z_t + U . grad z. `E` is integrated over the direction of k. For the mean over directions,"
-    " divide it by 2 pi k `coverage`; `coverage` is the fraction of the ring of wavenumber k inside the"
-    " sampled plane. `Ez` contains one elevation spectrum per method (dimension `source`): `stereo`, `w`"
-    " (integrated w), `cross` (their cross spectrum) and `fusion` (their best combination). They are"
-    " corrected for the response in time and, with a gain, in space.",
+    "spectra": "Of the quantities, z is at frame times, not midway between two frames; `nl` is the nonlinear"
+    " term (u - U) . grad z; `rise` is z_t + U . grad z.\n\n`E` is integrated over the direction of k. For"
+    " the mean over directions, divide it by 2 pi k `coverage`; `coverage` is the fraction of the ring of"
+    " wavenumber k inside the sampled plane.\n\n`Ez` contains one elevation spectrum per method (dimension"
+    " `source`): `stereo`, `w` (integrated w), `cross` (their cross spectrum) and `fusion` (their best"
+    " combination). They are corrected for the response in time and, with a gain, in space.",
     "coherence": "The rate of rise z_t + U . grad z is compared with each `term`: `w`, `nl`"
     " (-(u - U) . grad z) and their sum `tot`. `gamma2` is the squared coherence. For unrelated signals its"
     " mean is 1 / `samples`, and it exceeds `level` in 5 % of cases.",
