@@ -77,7 +77,7 @@ def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarr
             + shared[np.ix_(first, second)] * shared[np.ix_(second, first)]
         ) > limit
         coherence[trivial] = np.nan
-        largest = np.fmin(np.fmax.reduce(coherence, axis=1), 1.0)
+        largest = np.minimum(np.fmax.reduce(coherence, axis=1), 1.0)
         value[first, second] = value[second, first] = largest
     return value
 

@@ -299,7 +299,10 @@ def cross_spectra(
     (('quantity', 'omega', 'k'), ['u*w'])
     """
     cube = checked_fields(cube, names)
-    return _ring_spectra(cube, names, pairs, Welch.of(cube, segment, record))
+    welch = Welch.of(cube, segment, record)
+    # the current decides how long waves stay in the window, and so the degrees of freedom
+    welch = with_mean_current(cube, welch) if {"u", "v"} <= {*cube} else welch
+    return label(segment_sums(cube, Requested(names, pairs), welch), names, pairs, welch)
 
 
 def _transform_blocks(
@@ -324,15 +327,6 @@ def segment_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> dict[s
     transform, add = partial(_transform_blocks, names, welch), partial(add_segment, requested, welch)
     sums: dict[str, Array] = sum_segments(fields, welch.record, welch.segment, transform, add).compute()
     return sums
-
-
-def _ring_spectra(
-    cube: xr.Dataset, names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
-) -> xr.Dataset:
-    """Labelled spectra of a cube whose fields were checked."""
-    # the current decides how long waves stay in the window, and so the degrees of freedom
-    welch = with_mean_current(cube, welch) if {"u", "v"} <= {*cube} else welch
-    return label(segment_sums(cube, Requested(names, pairs), welch), names, pairs, welch)
 
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
@@ -474,9 +468,8 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     >>> print(f"{float(w.gamma2.min()):.2f}, {float(abs(w.C).max()):.2f}, {float(abs(nl.C).max()):.2f}")
     1.00, 1.01, 0.01
     """
-    cube = checked_fields(cube, COHERENCE_NAMES)
-    welch = Welch.of(cube, segment, record)
-    return coherence_group(_ring_spectra(cube, COHERENCE_NAMES, COHERENCE_PAIRS, welch))
+    ring = cross_spectra(cube, COHERENCE_NAMES, COHERENCE_PAIRS, segment=segment, record=record)
+    return coherence_group(ring)
 
 
 register(WaveProduct("coherence", ("ring",), coherence_group, group="coherence", pairs=COHERENCE_PAIRS))

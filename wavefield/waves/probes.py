@@ -29,7 +29,6 @@ Array = NDArray[Any]
 # chosen: shorter overlaps of narrow-banded waves are correlated at wrong lags, too
 MIN_OVERLAP, MIN_SAMPLES = 0.5, 40  # overlap relative to the record of the cube; samples of either series
 SAME_WAVES = 0.8  # chosen: least correlation; noise of a fifth of the waves' variance leaves 0.9
-MIN_IMPROVEMENT = 0.1  # chosen: increase of the correlation above which another lag is reported
 _UNITS = {1e3: "mm", 1e2: "cm", 1e6: "um", 1e-3: "km"}
 
 
@@ -53,7 +52,7 @@ class ProbeFit:
             return
         if self.best < 0:
             yield "it falls where the elevation rises", "Turn its sign (`factor: -1` in `probes:`)"
-        if abs(self.lag) > 0.5 * dt and abs(self.best) > abs(self.at_zero_lag) + MIN_IMPROVEMENT:
+        if abs(self.lag) > 0.5 * dt and abs(self.at_zero_lag) < SAME_WAVES:
             yield (
                 f"its clock is {abs(self.lag):.3f} s {'ahead of' if self.lag > 0 else 'behind'} the cameras'",
                 f"Add {-self.lag:.3f} to its times (`clock` in `probes:`), or correct the cameras' `offset`",
