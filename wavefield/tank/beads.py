@@ -17,8 +17,9 @@ T = TypeVar("T")
 class FrameHistory(Generic[T]):
     """The state of a simulation at any frame, computed from frame to frame.
 
-    `advance(state, frame)` returns the state of the frame after `frame`. The first state and the latest ones
-    are kept, so that frames should be asked for in rising order.
+    `first` is the state of frame 0; `advance(state, frame)` returns the state of the frame after `frame`.
+    Only the first state and the latest ones are kept: ask for frames in rising order, or they are computed
+    again.
     """
 
     def __init__(self, first: T, advance: Callable[[T, int], T]) -> None:
@@ -45,9 +46,10 @@ GROUP_SPREAD = 0.002  # standard deviation of their positions in the cluster, m
 
 
 def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, end: Velocity) -> Array:
-    """Return positions (2 or 3, ...) after a time h, s, by the fourth-order Runge-Kutta method.
+    """Return positions (2 or 3, ...), m, after a time h, s, by the fourth-order Runge-Kutta method.
 
-    `start`, `middle` and `end` give the velocity at time 0, h / 2 and h.
+    `position` has the same shape. `start`, `middle` and `end` return the velocity, m/s, at points x, y at the
+    times 0, h / 2 and h.
     """
     k1 = start(position[0], position[1])
     p2 = position + h / 2 * k1
@@ -60,9 +62,9 @@ def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, en
 
 
 def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[Array, Array]:
-    """Return x and y, metres, of points that move with the surface water from one time to another, s.
+    """Return x and y, metres, of points that moved with the surface water from time `start` to `end`, s.
 
-    The points may have any shape, and `end` may precede `start`. Points that leave the basin become NaN.
+    x and y may have any shape, and `end` may precede `start`. Points that leave the basin become NaN.
     """
     steps = max(1, int(np.ceil(abs(end - start) / MAX_SUBSTEP_S - 1e-9)))
     h = (end - start) / steps
@@ -77,10 +79,10 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
 
 
 def centred_path(carried: Callable[[Array, Array, float], Array], x: Array, y: Array, half: float) -> Array:
-    """Return start and end, (2, 2 or 3, ...), of the water paths from -half to +half with mid-points (x, y).
+    """Return start and end, (2, 2 or 3, ...), m, of the paths of water from -half to +half, s, around x, y.
 
-    The mid-point is the mean of start and end. `carried(x, y, t)` returns the position after a time t, s, of
-    the water that is at (x, y).
+    Each point (x, y), m, is the mean of start and end of its path. `carried(px, py, t)` returns the position
+    after a time t, s, of the water that is at (px, py).
     """
     px, py = x, y
     # correct the position at mid-time until the mean of both ends is the given point
@@ -92,7 +94,7 @@ def centred_path(carried: Callable[[Array, Array, float], Array], x: Array, y: A
 
 @dataclass(frozen=True)
 class BeadField:
-    """The beads in one frame."""
+    """The beads of a scene, or the particles of a light sheet, in one frame."""
 
     x: Array  # (n,): Positions, metres
     y: Array
@@ -103,8 +105,10 @@ class BeadField:
 class Population:
     """Beads on a rectangle of water that is larger than the cameras' view, frame after frame.
 
-    Beads that leave the rectangle return on the opposite side. Each second a small fraction is moved to a
-    random position, as in a tank that is seeded continuously; this keeps the density even in long records.
+    x and y are the limits of the rectangle, m, and `cameras` is the number of cameras. Beads that leave the
+    rectangle return on the opposite side. Each second a small fraction is moved to a random position, as in a
+    tank that is seeded continuously; this keeps the density even in long records. Raises ValueError if the
+    surface of the scene is not of beads.
     """
 
     def __init__(
@@ -149,7 +153,7 @@ class Population:
         return BeadField(x, y, z - self._below, self._brightness)
 
     def _advance(self, beads: BeadField, frame: int) -> BeadField:
-        """Return the beads of the frame after this one."""
+        """Return the beads of the frame after `frame`, from the beads of `frame`."""
         time = self._scene.frame_time
         x, y = carry(self._basin, beads.x, beads.y, time(frame), time(frame + 1))
         for p, (low, high) in ((x, self._x), (y, self._y)):
@@ -162,7 +166,7 @@ class Population:
 
 
 def _holes(scene: Scene, settings: Beads) -> Array:
-    """Return n round patches without beads, (n, 3): x, y, diameter, m, all within the grid."""
+    """Return n round patches without beads (n, 3), as x, y, diameter, m; the centres are in the grid."""
     rng = np.random.default_rng([scene.seed, 6])
     places = [
         rng.uniform(0.9 * low + 0.1 * high, 0.1 * low + 0.9 * high, settings.holes)

@@ -23,7 +23,7 @@ MAX_TURN = 0.2  # largest phase change that a particle sees in a sub-step, rad
 
 @dataclass(frozen=True)
 class SheetFlow:
-    """A steady random flow, free of divergence, periodic in x and y and uniform across the sheet."""
+    """A steady random flow, free of divergence, periodic in x and y, and the same across the sheet."""
 
     k: Array  # (n, 2): Wave vectors, rad/m
     along: Complex  # (n,): Amplitudes of the velocity in the plane, perpendicular to k, m/s
@@ -31,7 +31,11 @@ class SheetFlow:
 
     @classmethod
     def random(cls, settings: Sheet, period: tuple[float, float], seed: int) -> "SheetFlow":
-        """Draw a flow with wavelengths from half the period to the shortest, evenly in their logarithm."""
+        """Return a random flow with the rms velocities of the settings and periods along x and y, m.
+
+        Its wavelengths are drawn evenly in their logarithm, from half the smaller period to the shortest of
+        the settings.
+        """
         rng = np.random.default_rng([seed, 11])
         longest = 0.5 * min(period)
         k = 2 * np.pi / longest * (longest / settings.shortest) ** rng.uniform(0.0, 1.0, WAVES_OF_FLOW)
@@ -54,7 +58,7 @@ class SheetFlow:
         return out.reshape(3, *np.shape(x))
 
     def carry(self, x: Array, y: Array, time: float) -> Array:
-        """Return x, y and the rise after a time, (3, ...), metres, of the fluid that is at (x, y)."""
+        """Return x, y and the rise, (3, ...), m, of the fluid that is at (x, y), after `time`, s."""
         fastest = np.hypot(*self.k.T).max() * 2.0 * np.sqrt(np.sum(np.abs(self.along) ** 2))
         steps = max(1, int(np.ceil(abs(time) * fastest / MAX_TURN)))
         position = np.stack([x, y, np.zeros(np.shape(x))])
@@ -88,8 +92,8 @@ def _velocity(
 class Particles:
     """Particles in a light sheet, frame after frame, evenly distributed in a layer twice as thick.
 
-    A particle that leaves the layer returns on the opposite side, where it is dark, and drifts into the light
-    as in a real flow.
+    x and y are the limits of the layer, m, and `cameras` is the number of cameras. A particle that leaves the
+    layer returns on the opposite side, where it is dark, and drifts into the light as in a real flow.
     """
 
     def __init__(
@@ -114,14 +118,17 @@ class Particles:
         return BeadField(px, py, pz, self._brightness * light)
 
     def _advance(self, places: Array, frame: int) -> Array:
-        """Return the positions in the frame after this one; the flow is steady."""
+        """Return the positions (3, n) in the next frame: x, y, m, and height as a fraction of the layer.
+
+        `places` are the positions now. The flow is steady, so `frame` does not matter.
+        """
         x, y, rise = self.flow.carry(places[0], places[1], self._step)
         (x0, x1), (y0, y1) = self._x, self._y
         height = places[2] + rise / (SLAB_THICKNESS * self._settings.thickness)
         return np.stack([x0 + np.mod(x - x0, x1 - x0), y0 + np.mod(y - y0, y1 - y0), np.mod(height, 1.0)])
 
     def truth(self, x: Array, y: Array, time: float) -> Truth:
-        """Return the exact fields of one step at nodes x, y (ny, nx), metres, in the sheet's own axes."""
+        """Return the exact fields of the step around `time`, s, at nodes x, y (ny, nx), m, in sheet axes."""
         start, end = centred_path(self.flow.carry, x, y, self._step / 2)
         zero = np.zeros(np.shape(x))
         u, v, w = self.flow(x, y)
@@ -130,7 +137,10 @@ class Particles:
 
 
 def plane(settings: Sheet) -> tuple[Array, Array]:
-    """Return the axes of the sheet as columns, (3, 3), with x above the rig's x; and its origin, metres."""
+    """Return the axes of the sheet as columns, (3, 3), and the position of its origin, (3,), m.
+
+    The x axis of the sheet is above the x axis of the rig.
+    """
     bx, by = np.tan(np.radians(settings.tilt))
     normal = np.array([-bx, -by, 1.0]) / np.sqrt(1.0 + bx * bx + by * by)
     x = np.array([1.0, 0.0, bx]) / np.sqrt(1.0 + bx * bx)

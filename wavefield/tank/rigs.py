@@ -63,10 +63,11 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
 
 
 def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: tuple[int, int]) -> Rig:
-    """Return exact cameras around a light sheet: two at an angle (degrees), and a vertical one if three.
+    """Return exact cameras around a light sheet: `cam1` and `cam2` on both sides, a vertical `cam3` if three.
 
-    Oblique cameras have tilted sensors (Scheimpflug). `distance` and `pixel`, its size on the sheet, are in
-    metres, `size` is width and height in px.
+    `angle` is that of the outer cameras from the vertical, degrees; their sensors are tilted (Scheimpflug).
+    `distance` from the sheet and `pixel`, the size of a pixel on the sheet, are in metres. `size` is width
+    and height in px.
     """
     made = {}
     for name, side, roll, k1 in (("cam1", -1, 0.4, -0.04), ("cam2", 1, -0.5, -0.03), ("cam3", 0, 0.3, 0.03)):
@@ -80,9 +81,10 @@ def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: t
 
 
 def platform_rig(height: float, baseline: float, pitch: float, focal: float, size: tuple[int, int]) -> Rig:
-    """Return two exact cameras side by side, at a height above the sea and a baseline apart, in metres.
+    """Return two exact cameras, `left` and `right`, side by side on a platform above the sea.
 
-    Their axes point down by the pitch, degrees; `focal` is in px, `size` is width and height in px.
+    `height` above the sea and `baseline`, the distance between them, are in metres. Their axes point down by
+    `pitch`, degrees. `focal` length and `size`, width and height, are in px.
     """
     made = {}
     for name, side, roll, turn, down, k1 in (
@@ -117,7 +119,10 @@ def _camera(
 
 
 def _orientation(axis: Array, roll: float) -> Array:
-    """Return the rotation of a camera from its optical axis; rows run towards -y, then roll turns it, rad."""
+    """Return the rotation (3, 3) of a camera that looks along `axis`, (3,), in physical axes.
+
+    Image rows run towards -y; then the camera is turned about its axis by `roll`, rad.
+    """
     down = np.array([0.0, -1.0, 0.0])
     right = np.cross(down, axis)
     c, s = np.cos(roll), np.sin(roll)
@@ -127,9 +132,9 @@ def _orientation(axis: Array, roll: float) -> Array:
 def bounds(
     rig: Rig, lowest: float, highest: float, margin: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits along x and y, m, of the water that any camera sees between two heights.
+    """Return the limits along x and y, m, of the water that any camera sees.
 
-    The margin, m, is added on each side.
+    The water is between the heights `lowest` and `highest`, m. A margin, m, is added on each side.
     """
     corners = np.concatenate([_bounding(rig[name], z) for name in rig for z in (lowest, highest)])
     low, high = np.nanmin(corners, axis=0) - margin, np.nanmax(corners, axis=0) + margin
@@ -137,7 +142,7 @@ def bounds(
 
 
 def _bounding(camera: Camera, height: float) -> Array:
-    """Return the corners of a camera's view at a height, (n, 2), m; cut off before a visible horizon."""
+    """Return the corners of a camera's view, (n, 2), m, on a plane at `height`, m; a horizon is cut off."""
     corners = camera.corners(height)
     if np.isfinite(corners).all():
         return corners
@@ -146,7 +151,7 @@ def _bounding(camera: Camera, height: float) -> Array:
 
 
 def pixel_footprint(camera: Camera) -> tuple[float, float]:
-    """Return the size along x and y, m, that the middle pixel of the image covers on still water."""
+    """Return the size along x and along y, m, of the middle pixel of the image on still water."""
     x, y = camera.unproject((camera.size[0] - 1) / 2, (camera.size[1] - 1) / 2)
     jacobian = camera.jacobian(x, y, 0.0)
     return float(1.0 / np.hypot(*jacobian[:, 0])), float(1.0 / np.hypot(*jacobian[:, 1]))

@@ -36,7 +36,7 @@ from wavefield.tank.sea import Sea
 
 
 def _kind_of_rig(value: object) -> str:
-    """Return the tag of the class of a rig, which the keys of a mapping reveal."""
+    """Return the tag of the class of a rig, from an instance or from the keys of a mapping."""
     if isinstance(value, RigFile) or (isinstance(value, Mapping) and "file" in value):
         return "rig-file"
     if isinstance(value, PlatformRig) or (isinstance(value, Mapping) and "height" in value):
@@ -121,7 +121,7 @@ class Scene(SceneRecord):
         return self
 
     def frame_time(self, frame: float) -> float:
-        """Return the time of the sea, s, at which a frame is taken, with the jitter of the cameras' clock."""
+        """Return the time of the sea, s, at which the cameras take a frame, with jitter of their clock."""
         jitter = self.timing.jitter
         if not jitter:
             return self.time(frame)
@@ -171,7 +171,7 @@ class Scene(SceneRecord):
 
     @staticmethod
     def presets() -> dict[str, Path]:
-        """Return the files of the scenes that come with the program, by name."""
+        """Return the files of the scenes that come with wavefield, by name."""
         folder = Path(__file__).parent / "scenes"
         return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
@@ -204,9 +204,9 @@ class Scene(SceneRecord):
         return type(self).from_dict(data)
 
     def build_rig(self) -> Rig:
-        """Return the exact cameras."""
+        """Return the exact cameras of the scene."""
         return self.rig.build()
 
     def build_sea(self) -> Sea:
-        """Return the sea, with the random waves of the scene's seed."""
+        """Return the sea of the scene; the seed of the scene draws its random waves."""
         return self.sea.build(self.seed)

@@ -40,51 +40,51 @@ class SceneRecord(Part):
     start: float = Field(default=0.0, description="time of the sea at the first frame, s")
 
     def time(self, frame: float) -> float:
-        """Return the time of the sea at a frame, s, without jitter; a fraction lies between two frames."""
+        """Return the time of the sea, s, at a frame counted from 0, without jitter; 0.5 is a valid frame."""
         return self.start + frame / self.frame_rate
 
 
 class PaperRig(Part):
-    """The three cameras of Aubourg et al. (2019), only the two oblique ones, or a fourth besides."""
+    """The cameras of Aubourg et al. (2019): all three, only the two oblique ones, or with a fourth."""
 
     cameras: Literal[2, 3, 4] = 3
     scale: Annotated[float, Field(gt=0, le=2)] = Field(default=1.0, description="image size over full size")
     crop: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="share of the sensor read out")
 
     def build(self) -> Rig:
-        """Make the rig."""
+        """Return the rig with these settings."""
         return rigs.paper_rig(self.scale, self.crop, self.cameras)
 
 
 class SheetRig(Part):
-    """Cameras around a light sheet: one on each side, and optionally a vertical one between them."""
+    """Cameras around a light sheet: one on each side, and if there are three a vertical one between them."""
 
     cameras: Literal[2, 3] = 2
     angle: Annotated[float, Field(ge=5, le=70)] = Field(
-        default=35.0, description="of the outer cameras from the vertical, degrees"
+        default=35.0, description="angle of the outer cameras from the vertical, degrees"
     )
-    distance: Positive = Field(default=1.0, description="from the middle of the sheet, m")
-    pixel: Positive = Field(default=2e-4, description="of the vertical view, m")
+    distance: Positive = Field(default=1.0, description="distance from the middle of the sheet, m")
+    pixel: Positive = Field(default=2e-4, description="size of a pixel in the vertical view, m")
     size: tuple[int, int] = Field(default=(800, 600), description="width and height of the images, px")
 
     def build(self) -> Rig:
-        """Make the rig."""
+        """Return the rig with these settings."""
         return rigs.sheet_rig(self.cameras, self.angle, self.distance, self.pixel, self.size)
 
 
 class PlatformRig(Part):
     """Two cameras side by side on a platform at sea; they look towards +y, the horizon in view."""
 
-    height: Positive = Field(description="of the cameras above the sea, m")
+    height: Positive = Field(description="height of the cameras above the sea, m")
     baseline: Positive = Field(default=2.5, description="distance between the cameras, m")
     pitch: Annotated[float, Field(gt=0, lt=90)] = Field(
-        default=20.0, description="of their axes below the horizontal, degrees"
+        default=20.0, description="angle of the optical axes below the horizontal, degrees"
     )
     focal: Positive = Field(default=750.0, description="focal length, px")
     size: tuple[int, int] = Field(default=(800, 600), description="width and height of the images, px")
 
     def build(self) -> Rig:
-        """Make the rig."""
+        """Return the rig with these settings."""
         return rigs.platform_rig(self.height, self.baseline, self.pitch, self.focal, self.size)
 
 
@@ -94,7 +94,7 @@ class RigFile(Part):
     file: str = Field(description="a rig as YAML; relative to the scene file")
 
     def build(self) -> Rig:
-        """Read the rig."""
+        """Return the rig of the file."""
         return Rig.load(self.file)
 
 
@@ -129,12 +129,12 @@ class Beads(Spots):
     renewal: Share = Field(default=0.005, description="share of beads laid anew per second")
     submerged: Share = Field(default=0.0, description="share of beads that float below the surface")
     submerged_depth: Annotated[tuple[Positive, Positive], AfterValidator(_rising)] = Field(
-        default=(2e-3, 1e-2), description="their depths, drawn evenly between, m (without refraction)"
+        default=(2e-3, 1e-2), description="depth of these beads, drawn evenly, m (no refraction)"
     )
 
 
 class Texture(Part):
-    """White noise painted on the surface, as in a test by Aubourg et al. (2019)."""
+    """White noise painted on the water surface, as in a test by Aubourg et al. (2019)."""
 
     kind: Literal["texture"] = "texture"
     mesh: Positive | None = Field(default=None, description="size of the grains, m; by default 1.5 pixels")
@@ -155,18 +155,18 @@ class SeaSurface(Part):
     )
     water: NotNegative = Field(default=20.0, description="light from below the surface, grey levels of 255")
     sky: NotNegative = Field(default=200.0, description="the sky at the horizon, grey levels of 255")
-    foam: NotNegative = Field(default=190.0, description="grey levels of 255")
-    foam_threshold: float = Field(default=2.0, description="of foam, in standard deviations of its texture")
+    foam: NotNegative = Field(default=190.0, description="brightness of foam, grey levels of 255")
+    foam_threshold: float = Field(default=2.0, description="foam is where its texture exceeds this (in std)")
 
 
 class Sheet(Spots):
     """Particles in a light sheet and their flow, in place of a water surface; the sea must be still."""
 
     kind: Literal["sheet"] = "sheet"
-    thickness: Positive = Field(default=1e-3, description="where its light is above 1/e2, m")
-    height: float = Field(default=0.0, description="of its middle above the target's plane, m")
+    thickness: Positive = Field(default=1e-3, description="where light is above 1/e2 of its peak, m")
+    height: float = Field(default=0.0, description="height of its middle above the target's plane, m")
     tilt: tuple[float, float] = Field(
-        default=(0.0, 0.0), description="of the sheet against the target's plane along x and y, degrees"
+        default=(0.0, 0.0), description="tilt against the target's plane along x and y, degrees"
     )
     density: Positive = Field(default=6e5, description="particles in the sheet per m2")
     diameter: NotNegative = Field(default=1e-4, description="m")
@@ -223,7 +223,7 @@ class Strings(Part):
     """A grid of white strings, as in Aubourg et al. (2019)."""
 
     kind: Literal["strings"] = "strings"
-    mesh: Positive = Field(default=0.10, description="m")
+    mesh: Positive = Field(default=0.10, description="distance between strings, m")
     width: Positive = Field(default=3e-3, description="width of a string, m")
     half: Annotated[int, Field(ge=2)] = Field(
         default=10, description="strings on each side of the middle one"
@@ -256,16 +256,16 @@ class Dots(Part):
 
 
 class CalibrationScene(Part):
-    """The calibration target and the poses in which it is photographed."""
+    """The calibration target and the poses in which the cameras photograph it."""
 
     target: Annotated[Strings | Chessboard | Dots, Field(discriminator="kind")] = Strings()
     tilted: Annotated[int, Field(ge=0)] = Field(default=6, description="number of tilted poses")
     tilt: Positive = Field(default=20.0, description="largest tilt, degrees")
-    level: float = Field(default=0.0, description="height of the flat target above the water at rest, m")
+    level: float = Field(default=0.0, description="height of the flat target above still water, m")
 
 
 class Probes(Part):
-    """Wave probes."""
+    """Wave probes, which measure the elevation at fixed positions."""
 
     rate: Positive = Field(default=100.0, description="Hz")
     positions: dict[str, tuple[float, float]] = Field(
@@ -284,11 +284,11 @@ class PlaneWave(Part):
 
     amplitude: NotNegative = Field(description="m")
     wavelength: Positive = Field(description="m")
-    direction: float = Field(default=0.0, description="where it goes, degrees anticlockwise from +x")
-    phase: float = Field(default=0.0, description="degrees")
+    direction: float = Field(default=0.0, description="direction of travel, degrees anticlockwise from +x")
+    phase: float = Field(default=0.0, description="phase of the wave, degrees")
 
     def components(self) -> tuple[float, float, complex]:
-        """Return kx and ky, rad/m, and the complex amplitude, m."""
+        """Return kx and ky, rad/m, and the complex amplitude, m, of the wave."""
         k, angle = 2 * np.pi / self.wavelength, np.radians(self.direction)
         amplitude = self.amplitude * np.exp(1j * np.radians(self.phase))
         return float(k * np.cos(angle)), float(k * np.sin(angle)), complex(amplitude)
@@ -300,7 +300,7 @@ class _SeaSettings(Part):
     depth: Positive = Field(default=0.7, description="depth of the water, m; .inf for deep water")
     surface_tension: NotNegative = Field(default=GAMMA, description="surface tension over density, m3 s-2")
     current: tuple[float, float] = Field(default=(0.0, 0.0), description="uniform velocity of the water, m/s")
-    added: tuple[PlaneWave, ...] = Field(default=(), description="free waves besides")
+    added: tuple[PlaneWave, ...] = Field(default=(), description="further free waves on top")
 
     def _sea(self, kx: ArrayLike, ky: ArrayLike, amplitude: ArrayLike, bound: int) -> Sea:
         for wave in self.added:
@@ -317,7 +317,7 @@ class StillSea(_SeaSettings):
     kind: Literal["still"]
 
     def build(self, seed: int) -> Sea:
-        """Return the sea."""
+        """Return a sea with the added waves only; `seed` does not matter."""
         return self._sea([1.0], [0.0], [0.0], bound=0)
 
 
@@ -325,10 +325,10 @@ class SingleWave(PlaneWave, _SeaSettings):
     """One plane wave."""
 
     kind: Literal["single"]
-    order: Literal[1, 2] = Field(default=1, description="2 adds the bound second harmonic")
+    order: Literal[1, 2] = Field(default=1, description="2 adds the second harmonic bound to the wave")
 
     def build(self, seed: int) -> Sea:
-        """Return the sea."""
+        """Return a sea with this wave and the added ones; `seed` does not matter."""
         kx, ky, amplitude = self.components()
         return self._sea([kx], [ky], [amplitude], bound=int(self.order == 2))
 
@@ -341,7 +341,7 @@ class Jonswap(Part):
     enhancement: Positive = 3.3
 
     def __call__(self, f: Array) -> Array:
-        """Spectrum at frequencies in Hz, to within a factor."""
+        """Return the spectrum at frequencies f, Hz, of any shape, to within a constant factor."""
         width = np.where(f <= self.peak, 0.07, 0.09)
         bump = self.enhancement ** np.exp(-((f / self.peak - 1) ** 2) / (2 * width**2))
         density: Array = f**-5.0 * np.exp(-1.25 * (self.peak / f) ** 4) * bump
@@ -356,7 +356,7 @@ class PowerLaw(Part):
     exponent: Positive = 6.0
 
     def __call__(self, f: Array) -> Array:
-        """Spectrum at frequencies in Hz, to within a factor."""
+        """Return the spectrum at frequencies f, Hz, of any shape, to within a constant factor."""
         return f**-self.exponent * np.exp(-self.exponent / 4 * (self.peak / f) ** 4)
 
 
@@ -377,7 +377,7 @@ class RandomSea(_SeaSettings):
     )
     order: Literal[1, 2] = Field(default=1, description="2 adds the waves bound to the steepest free ones")
     interacting: Annotated[int, Field(ge=2, le=2000)] = Field(
-        default=300, description="free waves with bound ones"
+        default=300, description="number of free waves (the steepest) that get bound waves, with order 2"
     )
 
     @model_validator(mode="after")
@@ -389,7 +389,7 @@ class RandomSea(_SeaSettings):
         return self
 
     def build(self, seed: int) -> Sea:
-        """Draw a Gaussian sea on a square lattice of wave vectors.
+        """Return a Gaussian sea on a square lattice of wave vectors, drawn with the seed.
 
         The density over wave vectors is S(f) (df/dk) D(theta) / k, with the spectrum S and the directional
         distribution D; amplitudes are complex Gaussian.

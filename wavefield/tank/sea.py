@@ -34,7 +34,7 @@ MIN_DETUNING = 0.1  # pairs with |q g' - S^2| below this fraction of q g' are re
 
 @dataclass(frozen=True)
 class BoundWaves:
-    """Second-order waves: contributions of p pairs of free waves to m wave vectors."""
+    """Second-order waves that pairs of free waves force: p pairs, and the m wave vectors that these give."""
 
     kx: Array  # (m,): Wave vectors, rad/m
     ky: Array
@@ -45,7 +45,10 @@ class BoundWaves:
     target: NDArray[np.int64]  # (p,): Index of the wave vector of each pair
 
     def at(self, time: float, current: tuple[float, float]) -> dict[str, Complex]:
-        """Return the complex amplitudes of z, z_t, u, v at one time, each (m,), metres and m/s."""
+        """Return the complex amplitudes, (m,), of z (m) and of z_t, u, v (m/s) at a time, s, by name.
+
+        `current` is the uniform velocity of the water, m/s.
+        """
         turn = np.exp(-1j * self.frequency * time)
         drift = self.kx * current[0] + self.ky * current[1]
         carried = np.exp(-1j * drift * time)
@@ -66,9 +69,10 @@ class BoundWaves:
 def bound_waves(
     kx: Array, ky: Array, amplitude: Complex, sigma: Array, depth: float, surface_tension: float, number: int
 ) -> BoundWaves:
-    """Return the waves bound to the `number` steepest of n free waves.
+    """Return the second-order waves that the `number` steepest of n free waves force.
 
-    kx, ky (rad/m), amplitude (m) and sigma (frequency relative to the water, rad/s) are (n,).
+    kx, ky (rad/m), amplitude (m) and sigma (frequency relative to the water, rad/s) are (n,). `depth` is in
+    m, `surface_tension` is over density, m3 s-2.
     """
     steep = np.argsort(-np.hypot(kx, ky) * np.abs(amplitude), kind="stable")[:number]
     kx, ky, a, s = kx[steep], ky[steep], amplitude[steep], sigma[steep]
@@ -173,18 +177,22 @@ class Sea:
 
     @property
     def axes(self) -> tuple[Array, Array]:
-        """Wavenumbers along x (nkx,) and along y (nky,) of all waves of the sea, rad/m."""
+        """Wavenumbers along x (nkx,), none negative, and along y (nky,) of all waves of the sea, rad/m."""
         return self._layout.kx, self._layout.ky
 
     @property
     def shortest(self) -> float:
-        """Shortest wavelength along an axis, bound waves included, metres."""
+        """Shortest wavelength along the x or y axis, bound waves included, m; infinite without waves."""
         top = max(self._layout.kx.max(initial=0.0), np.abs(self._layout.ky).max(initial=0.0))
         return 2 * np.pi / top if top > 0 else np.inf
 
     @property
     def reach(self) -> float:
-        """Elevation that the sea hardly ever exceeds (4.5 standard deviations), metres."""
+        """Elevation that the sea hardly ever exceeds, m.
+
+        It is 4.5 standard deviations of the free waves, or 1.1 times the sum of their amplitudes if that is
+        less.
+        """
         height = np.abs(self.amplitude)
         return float(min(np.sum(height) * 1.1, 4.5 * np.sqrt(0.5 * np.sum(height**2))))
 
@@ -197,7 +205,7 @@ class Sea:
         )
 
     def _coefficients(self, time: float) -> dict[str, Complex]:
-        """Return the complex amplitudes (nky, nkx) of all fields but w over the wavenumbers `axes`."""
+        """Return by name the complex amplitudes (nky, nkx), at a time, s, of all fields but w over `axes`."""
         turned = self.amplitude * np.exp(-1j * self.omega * time)
         velocity_over_elevation = self.sigma / (self.k * np.tanh(self.k * self.depth))
         waves = {
@@ -215,18 +223,19 @@ class Sea:
         return out
 
     def on_grid(self, x: Array, y: Array, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
-        """Return exact fields (ny, nx) by name on axes x (nx,) and y (ny,), metres.
+        """Return exact fields (ny, nx) by name at a time, s, on axes x (nx,) and y (ny,), metres.
 
-        z is in m, the slopes z_x, z_y are pure numbers, the others in m/s.
+        z is in m, the slopes z_x, z_y are pure numbers, the others in m/s. Raises ValueError for an unknown
+        name.
         """
         ex, ey = np.exp(1j * np.outer(self._layout.kx, x)), np.exp(1j * np.outer(y, self._layout.ky))
         return self._finish(self.sums(ex, ey, time, _needed(names)), names)
 
     def sums(self, ex: Complex, ey: Complex, time: float, names: Sequence[str]) -> dict[str, Array]:
-        """Return sums over all waves, (ny, nx), of fields other than w, without the current.
+        """Return the named fields, (ny, nx), at a time, s, as sums over all waves, without the current.
 
-        `ex` (nkx, nx) and `ey` (ny, nky) are exp(i k x) and exp(i k y) for the wavenumbers `axes`, which may
-        be multiplied by any function of the wavenumber.
+        w is not a sum of waves. `ex` (nkx, nx) and `ey` (ny, nky) are exp(i k x) and exp(i k y) for the
+        wavenumbers `axes`; each may be multiplied by any function of the wavenumber.
         """
         along_x = np.concatenate([ex.real, -ex.imag])
         along_y = np.concatenate([ey.real, ey.imag], axis=1)
@@ -240,9 +249,10 @@ class Sea:
         return out
 
     def at(self, x: ArrayLike, y: ArrayLike, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
-        """Return exact fields by name at scattered points, metres, in the shape and order of x and y.
+        """Return exact fields by name at a time, s, at scattered points x, y, metres, in their shape.
 
-        Units are those of `on_grid`, which is faster and needs less memory for many points.
+        The fields have the units of `on_grid`. For many points on axes `on_grid` is faster and needs less
+        memory.
         """
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         shape, x, y = x.shape, x.ravel(), y.ravel()
@@ -252,7 +262,7 @@ class Sea:
         return {name: values.reshape(shape) for name, values in self._finish(out, names).items()}
 
     def _finish(self, out: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
-        """Return the named fields; adds the current, and computes w = z_t + u z_x + v z_y."""
+        """Return the fields `names` from sums over waves: add the current, and w = z_t + u z_x + v z_y."""
         for name, speed in zip(("u", "v"), self.current, strict=True):
             if name in out and speed:
                 out[name] = out[name] + speed
@@ -262,7 +272,7 @@ class Sea:
 
 
 def _needed(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the fields to sum for the named ones: all but w if w is among them."""
+    """Return the fields to sum for `names`: all but w if w is among them; ValueError if one is unknown."""
     unknown = set(names) - set(FIELDS)
     if unknown:
         raise ValueError(f"the sea has no field {sorted(unknown)[0]!r}; it has {', '.join(FIELDS)}")
@@ -271,7 +281,7 @@ def _needed(names: Sequence[str]) -> tuple[str, ...]:
 
 @compiled(fastmath=True)
 def _product(a: Array, b: Array) -> Array:
-    """Return the matrix product, on one thread; BLAS would start more inside each thread that draws."""
+    """Return the matrix product a @ b on one thread; BLAS would start more in each thread that draws."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
         for k in range(a.shape[1]):
@@ -282,7 +292,10 @@ def _product(a: Array, b: Array) -> Array:
 
 
 class _WaveLayout:
-    """Arranges waves in a matrix over (ky, kx) with kx >= 0, so that sums over waves are matrix products."""
+    """Arranges waves in a matrix over (ky, kx) with kx >= 0, so that sums over waves are matrix products.
+
+    kx and ky, (n,), are the wave vectors, rad/m.
+    """
 
     def __init__(self, kx: Array, ky: Array) -> None:
         self._mirror = kx < 0  # Re(C e^{ikx}) = Re(C* e^{-ikx})
@@ -295,7 +308,7 @@ class _WaveLayout:
         self._flat = self._row * self.kx.size + self._column
 
     def place(self, values: Complex) -> Complex:
-        """Return the matrix (nky, nkx) of the amplitudes (n,) of the waves."""
+        """Return the matrix (nky, nkx) with the amplitudes (n,) of the waves; equal wave vectors add up."""
         values = np.where(self._mirror, values.conj(), values)
         size = self.ky.size * self.kx.size
         real = np.bincount(self._flat, values.real, size)
@@ -311,13 +324,13 @@ REMEMBERED_FRAMES = 8  # states kept in memory, because images of several frames
 
 
 def _kernel(r: Array) -> Array:
-    """Return the interpolation kernel at a distance of r lattice steps."""
+    """Return the interpolation kernel, of the shape of r, at a distance of r lattice steps."""
     s = 2.0 * r / KERNEL_WIDTH
     return np.exp(KERNEL_BETA * (np.sqrt(np.maximum(1.0 - s * s, 0.0)) - 1.0)) * (np.abs(s) < 1)
 
 
 def _transform(phase: Array) -> Array:
-    """Return the Fourier transform of the kernel at phases (rad) per lattice step, by quadrature."""
+    """Return the Fourier transform of the kernel, (n,), at wavenumbers (n,) in rad per lattice step."""
     nodes, weights = np.polynomial.legendre.leggauss(60)
     r = nodes * KERNEL_WIDTH / 2
     return np.cos(np.outer(phase, r)) @ (weights * _kernel(r)) * KERNEL_WIDTH / 2
@@ -328,10 +341,10 @@ def _waves(a: ArrayLike, b: ArrayLike) -> Complex:
 
 
 class Basin:
-    """A rectangle of a sea, with limits x and y in metres, that interpolates fields at any point fast.
+    """A rectangle of a sea, with limits x and y in metres, in which fields at any point are found fast.
 
-    Fields are summed on a lattice and interpolated with a kernel. The sums divide each wave by the kernel's
-    Fourier transform, which leaves errors of some 1e-7 of the elevation (a non-uniform FFT of type 2).
+    Fields are summed on a lattice and interpolated with a kernel. The sums divide each wave by the Fourier
+    transform of the kernel, which leaves errors of some 1e-7 of the elevation (a non-uniform FFT of type 2).
     """
 
     def __init__(self, sea: Sea, x: tuple[float, float], y: tuple[float, float]) -> None:
@@ -350,9 +363,9 @@ class Basin:
         self._ey = _waves(gy, ky) / _transform(ky * step)
 
     def snapshot(self, time: float, names: Sequence[str] = ("z",)) -> "Snapshot":
-        """Return the fields z, z_x, z_y, z_t, u, v that are named at one time, s, as a function of x, y.
+        """Return the fields `names` at a time, s, as a function of x and y.
 
-        w is not among them: it is not a sum of waves, but z_t + u z_x + v z_y.
+        The names are of z, z_x, z_y, z_t, u, v. w is not a sum of waves, but z_t + u z_x + v z_y.
         """
         return self._recent(round(time, 12), tuple(names))
 
@@ -364,13 +377,16 @@ class Basin:
 
 
 class Snapshot:
-    """Fields at one instant as a function of position, from `Basin.snapshot`."""
+    """Fields of a sea at one instant as a function of x and y; `Basin.snapshot` makes it."""
 
     def __init__(self, values: Array, offset: Array, origin: tuple[float, float], step: float) -> None:
         self._values, self._offset, self._origin, self._step = values, offset, origin, step
 
     def __call__(self, x: Array, y: Array) -> Array:
-        """Return the fields (names, ...), m, 1 or m/s, at points of any shape; NaN outside the basin."""
+        """Return the fields, (names, ...), at points x, y, metres, of any shape; NaN outside the basin.
+
+        z is in m, the slopes are pure numbers, the others in m/s.
+        """
         out = np.empty((self._values.shape[0], x.size))
         _gather(x.ravel(), y.ravel(), self._values, *self._origin, self._step, out)
         return (out + self._offset[:, None]).reshape(-1, *x.shape)

@@ -13,10 +13,10 @@ Image = NDArray[np.float32]
 
 @compiled(fastmath=True)
 def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
-    """Add Gaussian spots to an image (row, column), integrated exactly over every pixel.
+    """Add n Gaussian spots to an image (row, column), in place, each integrated exactly over every pixel.
 
-    The n spots are at columns X and rows Y, px, with total intensities `flux` (n,) and standard deviation
-    `sigma`, px.
+    The spots are at columns X (n,) and rows Y (n,), px, with total intensities `flux` (n,) and standard
+    deviation `sigma`, px.
     """
     height, width = image.shape
     reach = math.ceil(4.5 * sigma) + 1
@@ -41,7 +41,7 @@ def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
 
 
 def illumination(size: tuple[int, int], unevenness: float, seed: int) -> Image:
-    """Return the relative illumination of an image, (row, column), with a mean of about 1.
+    """Return the relative illumination of the pixels of an image, (row, column), with a mean of about 1.
 
     It varies linearly in a random direction and decreases towards the edges. `size` is width and height in
     px, `unevenness` the relative difference of light across the image.
@@ -56,9 +56,10 @@ def illumination(size: tuple[int, int], unevenness: float, seed: int) -> Image:
 def expose(
     light: Image, read: float, shot: float, bits: int, rng: np.random.Generator
 ) -> NDArray[np.unsignedinteger]:
-    """Return the image file's pixels for light (row, column) in grey levels of 255, clipped at full scale.
+    """Return the pixels that a camera stores, (row, column), as integers of 8 or 16 `bits`.
 
-    `read` is the rms read noise and `shot` the variance per grey level, both in grey levels of 255.
+    `light` (row, column) is in grey levels of 255; noise is added and full scale clips. `read` is the rms of
+    the read noise, `shot` the variance of the shot noise per grey level, both in grey levels of 255.
     """
     value = light.astype(np.float64)
     if read or shot:

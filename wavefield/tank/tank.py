@@ -66,13 +66,13 @@ class Tank:
 
     @cached_property
     def population(self) -> Population | Particles:
-        """The beads, or the particles of a light sheet."""
+        """The beads of the scene, or the particles of its light sheet; ValueError for other surfaces."""
         if isinstance(self.scene.surface, Sheet):
             return Particles(self.scene, self.scene.surface, self.x, self.y, len(self.rig))
         return Population(self.scene, self.basin, self.x, self.y, len(self.rig))
 
     def truth(self, step: int) -> Truth:
-        """Return the exact fields of the step between a frame, counted from 0, and the next."""
+        """Return the exact fields of a step: from frame `step`, counted from 0, to the next."""
         grid, time = self.scene.grid, self.time(step + 0.5)
         if isinstance(self.scene.surface, Sheet):
             assert isinstance(self.population, Particles)
@@ -83,7 +83,8 @@ class Tank:
     def spot_width(self, camera: Camera) -> float:
         """Return the standard deviation of a bead's image, px, before it is integrated over pixels.
 
-        It combines the blur with the size of the bead; the variance of a disc is its radius squared over 4.
+        It combines the blur of the lens with the size of the bead; the variance of a disc is its radius
+        squared over 4.
         """
         surface = self.scene.surface
         size = 0.0 if isinstance(surface, (Texture, SeaSurface)) else surface.diameter
@@ -91,7 +92,7 @@ class Tank:
         return float(np.hypot(self.scene.light.blur, size / 4 / pixel))
 
     def render(self, frame: int, cameras: Iterable[str] | None = None) -> dict[str, GreyImage]:
-        """Return the images (row, column) of some cameras, by default of all, at a frame counted from 0.
+        """Return the images (row, column) of a frame, counted from 0, by camera; by default of all cameras.
 
         Ask for frames in rising order, because beads are followed from frame to frame.
         """
@@ -99,15 +100,18 @@ class Tank:
         return {name: self.draw(name, frame, self.beads(name, frame)) for name in names}
 
     def beads(self, name: str, frame: int) -> BeadField | None:
-        """Return the beads in a camera's image of a frame; None for a painted surface and the open sea."""
+        """Return the beads that the camera `name` sees in a frame; None if the surface has no beads.
+
+        A camera that is late by some frames sees an earlier state.
+        """
         if isinstance(self.scene.surface, (Texture, SeaSurface)):
             return None
         return self.population.frame(self._frame_taken(name, frame))
 
     def draw(self, name: str, frame: int, beads: BeadField | None) -> GreyImage:
-        """Return a camera's image (row, column) of a frame, with its faults; several threads may call it.
+        """Return the image (row, column) of the camera `name` at a frame, with the faults of the camera.
 
-        `beads` is the result of the method `beads`.
+        `beads` is the result of the method `beads`. Several threads may call it.
         """
         fault = self.scene.faults.get(name, _NO_FAULT)
         frame, source = self._frame_taken(name, frame), fault.shows or name
@@ -124,7 +128,7 @@ class Tank:
         return max(frame - self.scene.faults.get(name, _NO_FAULT).late, 0)
 
     def _beads(self, beads: BeadField, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
-        """Return the light of beads on the pixels of a camera, in grey levels."""
+        """Return the light of beads on the pixels of a camera, (row, column), in grey levels of 255."""
         assert not isinstance(self.scene.surface, (Texture, SeaSurface))
         camera = _shifted(self.rig[name], fault.shift)
         if any(fault.turned) and frame >= fault.since:
@@ -148,7 +152,10 @@ class Tank:
         return replace(beads, x=x, y=y, z=z)
 
     def _rolling(self, camera: Camera, beads: BeadField, frame: int, row_time: float) -> tuple[Array, Array]:
-        """Return columns and rows of beads, px, if each row is read `row_time`, s, after the one above it."""
+        """Return columns and rows of beads, (n,), px, in a camera with a rolling shutter.
+
+        Each row is read `row_time`, s, after the row above it.
+        """
         middle = (camera.size[1] - 1) / 2
         time, half = self.frame_time(frame), row_time * middle
         moments = (self._delayed(beads, time, -half), beads, self._delayed(beads, time, half))
@@ -167,7 +174,7 @@ class Tank:
         return texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed)
 
     def _painted(self, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
-        """Return the light of a painted surface on the pixels of a camera, in grey levels."""
+        """Return the light of a painted surface on a camera's pixels, (row, column), grey levels of 255."""
         settings = self.scene.surface
         assert isinstance(settings, Texture)
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
@@ -183,7 +190,7 @@ class Tank:
 
     @cached_property
     def _sea_paints(self) -> tuple[tuple[texture.Paint, ...], ...]:
-        """Textures of ripples and of coarser foam, each with grains of two sizes."""
+        """Textures of ripples and of coarser foam; each is the sum of two, with grains of two sizes."""
         settings = self.scene.surface
         assert isinstance(settings, SeaSurface)
 
@@ -194,7 +201,7 @@ class Tank:
         return tuple((paint(kind, 0), paint(kind, 1)) for kind in range(2))
 
     def _open_sea(self, frame: int, name: str, settings: SeaSurface) -> NDArray[np.float32]:
-        """Return the light of the open sea and the sky on the pixels of a camera, in grey levels."""
+        """Return the light of sea and sky on the pixels of a camera, (row, column), in grey levels of 255."""
         camera = self.rig[name]
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
         seen = texture.visible_water(camera, snapshot, self.sea.reach)
@@ -208,7 +215,7 @@ class Tank:
         return np.asarray(gaussian_filter(image, self.scene.light.blur, mode="nearest"), np.float32)
 
     def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
-        """Return splines, along x and y, of the water's position at the first frame minus that at a frame."""
+        """Return two splines over (y, x), m: where water at x, y in `frame` was in frame 0, minus x, y."""
         with self._drift_lock:  # other threads may be drawing other frames
             return self._drifts[frame]
 
@@ -229,7 +236,7 @@ class Tank:
 
     @cached_property
     def target_poses(self) -> dict[str, targets.Pose]:
-        """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``."""
+        """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``; none at sea."""
         settings, grid = self.scene.calibration, self.scene.grid
         if isinstance(self.scene.surface, SeaSurface):
             return {}  # there is no target at sea
@@ -243,19 +250,19 @@ class Tank:
 
     @cached_property
     def target_offsets(self) -> Array | None:
-        """Position errors of the crossings of strings, (n, n, 3), metres; None for other targets."""
+        """Position errors of the crossings of strings, (n, n, 3), metres; None if there are no strings."""
         target = self.scene.calibration.target
         return targets.node_offsets(target, self.scene.seed) if isinstance(target, Strings) else None
 
     def target_image(self, name: str, camera: str) -> GreyImage:
-        """Return a camera's image of the calibration target in a pose of `target_poses`."""
+        """Return the image (row, column) by `camera` of the target in the pose `name` of `target_poses`."""
         target, pose = self.scene.calibration.target, self.target_poses[name]
         light = targets.draw(self.rig[camera], target, pose, self.scene.light.blur, self.target_offsets)
         return self._expose(light, camera, -1 - list(self.target_poses).index(name))
 
     @cached_property
     def _light(self) -> dict[str, NDArray[np.float32]]:
-        """Relative illumination of the pixels of each camera."""
+        """Relative illumination of the pixels, (row, column), by camera."""
         unevenness, seed = self.scene.light.unevenness, self.scene.seed * 97
         return {
             name: sensor.illumination(self.rig[name].size, unevenness, seed + number)
@@ -271,11 +278,11 @@ class Tank:
 
 
 def _shifted(camera: Camera, shift: tuple[float, float]) -> Camera:
-    """Return a camera whose image has moved by columns and rows, px."""
+    """Return a camera whose image has moved by `shift`: columns and rows, px."""
     return replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1]) if any(shift) else camera
 
 
 def _turned(camera: Camera, degrees: tuple[float, float, float]) -> Camera:
-    """Return a camera turned about its centre by a rotation vector in its own axes, degrees."""
+    """Return a camera turned about its centre; `degrees` is the rotation vector in its own axes."""
     turn = cv2.Rodrigues(np.radians(degrees))[0]
     return replace(camera, rotation=turn @ camera.R, translation=turn @ camera.T)

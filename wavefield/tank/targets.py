@@ -19,16 +19,17 @@ SHARES_OF_OFFSET = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)  # parts of a board's offset, 
 
 @dataclass(frozen=True)
 class Pose:
-    """Position and orientation of a target: its point p is at ``rotation @ p + origin``."""
+    """Position and orientation of a target: a point p of the target is at ``rotation @ p + origin``."""
 
-    rotation: Array  # (3, 3): From the target's axes to the physical ones
+    rotation: Array  # (3, 3): from the axes of the target to the physical axes
     origin: Array  # (3,): Position of the target's origin, metres
 
 
 def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, float], seed: int) -> list[Pose]:
-    """Return random poses of a target that is held by hand in the field of view.
+    """Return `number` random poses of a target that somebody holds in the field of view.
 
-    They are tilted by up to `tilt` degrees, each in another direction; x and y limit the field, m.
+    They are tilted by up to `tilt` degrees, each in another direction; x and y are the limits of the field,
+    m.
     """
     rng = np.random.default_rng([seed, 8])
     size = min(x[1] - x[0], y[1] - y[0])
@@ -45,7 +46,7 @@ def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, floa
 
 
 def _rotation(axis: int, angle: float) -> Array:
-    """Return the rotation by an angle, rad, about a coordinate axis."""
+    """Return the rotation (3, 3) by an angle, rad, about the coordinate axis 0, 1 or 2."""
     c, s = np.cos(angle), np.sin(angle)
     i, j = [(1, 2), (2, 0), (0, 1)][axis]
     out = np.eye(3)
@@ -57,7 +58,7 @@ def _rotation(axis: int, angle: float) -> Array:
 def move_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, cameras: Iterable[Camera]) -> Pose:
     """Return a pose moved towards the middle of the field, (3,), m, until all cameras see the whole board.
 
-    The pose of a board that is too large for the field is unchanged.
+    If no such place is found, because the board is too large, the pose is returned unchanged.
     """
     # the corners of a chessboard can only be numbered if all of it is visible
     around = 1.5 if isinstance(board, Chessboard) else 0.5  # the outer squares and half a white one
@@ -83,10 +84,10 @@ _QUADRATURE = np.stack(
 
 
 def node_offsets(target: Strings, seed: int) -> Array:
-    """Draw the position errors (n, n, 3), m, of the crossings of strings.
+    """Return random position errors, (n, n, 3), m, of the crossings of n by n strings.
 
     Crossing (i, j), counted from the origin along x and y, is at [j + half, i + half]. The two marked
-    crossings have none.
+    crossings have no error.
     """
     count = 2 * target.half + 1
     offsets = target.node_offset * np.random.default_rng([seed, 9]).standard_normal((count, count, 3))
@@ -97,9 +98,10 @@ def node_offsets(target: Strings, seed: int) -> Array:
 def draw(
     camera: Camera, target: Strings | Chessboard | Dots, pose: Pose, blur: float, offsets: Array | None = None
 ) -> NDArray[np.float32]:
-    """Return the image (row, column) of a target, grey levels of 255, before background, light and noise.
+    """Return the light of a target on the pixels of a camera, (row, column), in grey levels of 255.
 
-    The blur is in px; `offsets` (n, n, 3), m, is the result of `node_offsets`.
+    Background, uneven light and noise are not in it. `blur` is in px; `offsets` (n, n, 3), m, is the result
+    of `node_offsets`.
     """
     # seen from a camera in the target's own axes, the target is the plane z = 0
     own = replace(camera, rotation=camera.R @ pose.rotation, translation=camera.R @ pose.origin + camera.T)
@@ -132,7 +134,11 @@ def _draw_strings(target: Strings, s: Array, t: Array, blur: float) -> NDArray[n
 
 
 def _undo_offsets(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple[Array, Array]:
-    """Return the points of a perfect target that appear at (x, y) on one with offsets, in meshes."""
+    """Return the points of a perfect target that the camera sees at (x, y) on a target with offsets.
+
+    x, y and offsets (n, n, 3) are in meshes of the target, `mesh` in m; `own` is the camera in the target's
+    axes.
+    """
     half = offsets.shape[0] // 2
     lean_x, lean_y = own.sight_line(x * mesh, y * mesh)
     s, t = x, y
@@ -147,7 +153,7 @@ def _undo_offsets(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) 
 
 @compiled()
 def _step(d: float, blur: float) -> float:
-    """Return the brightness, 0 to 1, at d pixels inside a blurred straight edge."""
+    """Return the brightness, 0 to 1, of a point d px inside a straight edge; `blur` is its std, px."""
     if d > 4.5 * blur:
         return 1.0
     if d < -4.5 * blur:
@@ -159,10 +165,10 @@ def _step(d: float, blur: float) -> float:
 def _disc(
     ds: float, dt: float, radius: float, sx: float, sy: float, tx: float, ty: float, blur: float
 ) -> float:
-    """Return the brightness of a blurred disc at (ds, dt) from its centre, in the target's plane.
+    """Return the brightness, 0 to 1, of a blurred disc at (ds, dt) from its centre, in the target's plane.
 
-    (sx, sy) and (tx, ty) are the derivatives of s and t by column and row: the edge is
-    (r - radius) / |grad r| pixels away.
+    (sx, sy) and (tx, ty) are the derivatives of s and t by column and row. The edge is therefore (r - radius)
+    / |grad r| pixels away. `blur` is in px, `radius` in the unit of s and t.
     """
     r = math.hypot(ds, dt)
     if r < 1e-12:
@@ -174,7 +180,7 @@ def _disc(
 
 @compiled()
 def _slopes(a: Array, i: int, j: int) -> tuple[float, float]:
-    """Return the derivatives by column and row at pixel (i, j) of an array with a border of one pixel."""
+    """Return the derivatives by column and row, at pixel (i, j), of an array with a border of one pixel."""
     return 0.5 * (a[i + 1, j + 2] - a[i + 1, j]), 0.5 * (a[i + 2, j + 1] - a[i, j + 1])
 
 

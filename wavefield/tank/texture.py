@@ -21,10 +21,10 @@ Array = NDArray[np.float64]
 
 
 class Paint:
-    """Band-limited white noise of unit variance, a cubic B-spline with random coefficients.
+    """Band-limited white noise of unit variance as a function of x and y: a random cubic B-spline.
 
     Its grains have the size `mesh`, metres. It covers the rectangle with limits x and y, metres, and is
-    mirrored beyond it.
+    mirrored beyond the rectangle.
     """
 
     def __init__(self, x: tuple[float, float], y: tuple[float, float], mesh: float, seed: int) -> None:
@@ -36,7 +36,7 @@ class Paint:
         self._x0, self._y0, self._mesh = x[0] - 2 * mesh, y[0] - 2 * mesh, mesh
 
     def __call__(self, x: Array, y: Array) -> NDArray[np.float32]:
-        """Return the noise at points of any shape, metres."""
+        """Return the noise at points x, y, metres, in the shape of x."""
         places = np.nan_to_num([(y - self._y0) / self._mesh, (x - self._x0) / self._mesh])
         out = np.empty(np.shape(x), np.float32)
         map_coordinates(self._coefficients, places, out, order=3, mode="grid-mirror", prefilter=False)
@@ -57,17 +57,17 @@ ROUGHNESS = 0.15  # rms slope too fine to be drawn, which keeps the far sea dark
 
 @dataclass(frozen=True)
 class VisibleWater:
-    """The water that the sight line of each pixel meets, (row, column); NaN for sky and beyond the waves."""
+    """The water that the sight line of each pixel meets, (row, column); NaN if it meets none near enough."""
 
-    x: Array  # Positions, m
+    x: Array  # positions of the water, m
     y: Array
     z: Array
-    z_x: Array  # Slopes of the water
+    z_x: Array  # slopes of the water
     z_y: Array
 
 
 def horizon_dip(height: float) -> float:
-    """Return the angle of the horizon below the horizontal, rad, at a height above the sea, m.
+    """Return the angle, rad, by which the horizon is below the horizontal at a height above the sea, m.
 
     Refraction by the air is neglected.
     """
@@ -75,9 +75,9 @@ def horizon_dip(height: float) -> float:
 
 
 def visible_water(camera: Camera, snapshot: Snapshot, reach: float) -> VisibleWater:
-    """Return the first water that the sight line of each pixel meets; waves may hide others.
+    """Return the water that the sight line of each pixel meets first; waves may hide what is behind them.
 
-    `snapshot` gives z, z_x and z_y; `reach` is the largest elevation, m.
+    `snapshot` gives z, z_x and z_y, in this order; `reach` is the largest elevation, m.
     """
     width, height = camera.size
     x, y = camera.unproject(np.arange(float(width)), np.arange(float(height))[:, None])
@@ -95,7 +95,7 @@ def visible_water(camera: Camera, snapshot: Snapshot, reach: float) -> VisibleWa
 
 
 def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, y: Array) -> Array:
-    """Return the elevation, m, at which sight lines through (x, y, 0) first meet the water, or NaN."""
+    """Return the elevation, m, at which sight lines through (x, y, 0) first meet the water; NaN if never."""
     dx, dy = camera.sight_line(x, y)
     out = np.full(x.shape, np.nan)
     above = np.full(x.shape, np.nan)
@@ -111,10 +111,11 @@ def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, 
 
 
 def sea_image(camera: Camera, seen: VisibleWater, settings: SeaSurface, foam: Image, ripples: Image) -> Image:
-    """Return an image of sky and water, (row, column), grey levels of 255, without the noise of the camera.
+    """Return the light of sky and water on the pixels of a camera, (row, column), in grey levels of 255.
 
-    Each pixel of water is a facet with the slope of `seen` plus that of `ripples`. It mirrors the sky with
-    Fresnel's reflectance over dark water. Foam covers it where the texture `foam` exceeds its threshold.
+    Each pixel of water is a facet with the slope of `seen` plus a slope by the texture `ripples`. It mirrors
+    the sky, with Fresnel's reflectance, over dark water. Foam covers it where the texture `foam` exceeds its
+    threshold. All images are (row, column). Blur and noise of the camera are not in it.
     """
     width, height = camera.size
     a, b = camera.tangents(np.arange(float(width)), np.arange(float(height))[:, None])
@@ -140,7 +141,7 @@ def sea_image(camera: Camera, seen: VisibleWater, settings: SeaSurface, foam: Im
 
 
 def _radiance(upward: Array) -> Array:
-    """Return the sky's radiance relative to that at the horizon, from the sine of the elevation angle."""
+    """Return the sky's radiance over that at the horizon; `upward` is the sine of the elevation angle."""
     out: Array = 0.45 + 0.55 * (1.0 - np.clip(upward, 0.0, 1.0)) ** 3
     return out
 
@@ -148,10 +149,11 @@ def _radiance(upward: Array) -> Array:
 def texture_at(
     seen: VisibleWater, drift: Sequence[RectBivariateSpline], paints: Sequence[Paint], far: float
 ) -> Image:
-    """Return the sum of textures that the water carries, averaged over each pixel, (row, column).
+    """Return the sum of textures that move with the water, averaged over each pixel, (row, column).
 
-    `drift` are splines over (y, x) of the water's position at the first frame minus the present one, along x
-    and y, m. The simulated waves end at the distance `far`, m.
+    `drift` are two splines over (y, x): the position of the water at the first frame minus the present
+    position, along x and along y, m. The simulated waves end at the distance `far`, m; the texture fades
+    towards it.
     """
     width, height = seen.x.shape[1], seen.x.shape[0]
     fine = []
@@ -168,7 +170,7 @@ def texture_at(
 
 
 def _enlarged(coarse: Array, shape: tuple[int, ...]) -> Array:
-    """Return a field of every `COARSE`-th pixel interpolated linearly to all pixels, (row, column)."""
+    """Return a field, given at every `COARSE`-th pixel, interpolated linearly to all pixels of `shape`."""
     rows, columns = (np.arange(n) / COARSE for n in shape[:2])
     at = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
     return np.asarray(

@@ -48,7 +48,7 @@ class Truth:
 
 
 def truth(basin: Basin, grid: Grid, time: float, dt: float) -> Truth:
-    """Return the exact fields at the nodes of a grid for the step of length dt, s, around a mid-time, s."""
+    """Return the exact fields at the nodes of a grid for one step of length `dt` around `time`, both in s."""
     x, y = grid.x_nodes, grid.y_nodes
     fields = basin.sea.on_grid(x, y, time)
     start, end = (basin.sea.on_grid(x, y, t, ("z",))["z"] for t in (time - dt / 2, time + dt / 2))
@@ -59,9 +59,10 @@ def truth(basin: Basin, grid: Grid, time: float, dt: float) -> Truth:
 
 
 def displacement(basin: Basin, x: Array, y: Array, time: float, dt: float) -> tuple[Array, Array, Array]:
-    """Return the displacements along x, y, z over a step, m, of the water whose path has its mid-point there.
+    """Return the displacements along x, y, z, m, in one step of the water whose paths are centred on x, y.
 
-    x and y are the mid-points, metres; `time` is mid-time and `dt` the length of the step, s.
+    x and y, m, of any shape, are the means of both ends of each path; `time` is mid-time and `dt` the length
+    of the step, s.
     """
 
     def carried(px: Array, py: Array, after: float) -> Array:

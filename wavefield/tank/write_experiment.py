@@ -97,7 +97,7 @@ def simulate(
 
 
 def _drawings(tank: Tank, directory: Path) -> Iterator[tuple[Path, Drawing]]:
-    """Yield the file of each image and the function that draws it, with the beads of its frame."""
+    """Yield the path of each image below `directory`, and the function that draws it when it is called."""
     for pose in tank.target_poses:
         for camera in tank.rig:
             yield directory / "calib" / camera / f"{pose}.tif", partial(tank.target_image, pose, camera)
@@ -113,7 +113,10 @@ def _draw(
     most: int,
     report_progress: Callable[[], None],
 ) -> None:
-    """Draw and write images in order; at most `most` wait at once."""
+    """Draw and write images on the threads of `pool`; at most `most` wait at once.
+
+    `report_progress` is called after each image.
+    """
     waiting: deque[Future[None]] = deque()
     for path, drawing in drawings:
         if len(waiting) == most:
@@ -128,7 +131,10 @@ def _draw(
 def _write_truth(
     tank: Tank, steps: int, path: Path, pool: ThreadPoolExecutor, report_progress: Callable[[], None]
 ) -> None:
-    """Write the exact fields, one chunk of steps after the other."""
+    """Write the exact fields of `steps` steps to the Zarr store `path`, one chunk after the other.
+
+    `report_progress` is called after each step.
+    """
     grid, rate = tank.scene.grid, tank.scene.frame_rate
     names = [field.name for field in fields(Truth) if field.name != "time"]
     for first in range(0, steps, CHUNK_STEPS):
@@ -163,7 +169,7 @@ def _write_truth(
 
 
 def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
-    """Write all files but the images: experiment, scene, probes, exact cameras."""
+    """Write the small files: experiment.yaml, scene.yaml, truth/rig.yaml, probes.csv; lenses.yaml at sea."""
     names = list(tank.rig)
     experiment = {
         "name": scene.name,
@@ -200,7 +206,7 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
 
 
 def _write_probes(path: Path, scene: Scene, sea: Sea) -> None:
-    """Write the record of a scene's probes, with their noise, as CSV: seconds and metres."""
+    """Write the elevation at the scene's probes, with noise, as CSV: a column of s, and columns of m."""
     settings = scene.probes
     times = np.arange(int(scene.frames / scene.frame_rate * settings.rate) + 1) / settings.rate
     x, y = np.array(list(settings.positions.values()), float).T
@@ -238,7 +244,10 @@ def _describe_target(scene: Scene) -> dict[str, object]:
 
 
 def _pairing(tank: Tank) -> dict[str, object]:
-    """Return the pairs of cameras of an experiment file: the most upright camera with each of the others."""
+    """Return the pairs of cameras for the experiment file: the most upright camera with each other one.
+
+    The other cameras measure the velocity if there are several; with one camera there are no pairs.
+    """
     names = list(tank.rig)
     if len(names) < 2:
         return {}
