@@ -1,14 +1,13 @@
-"""The analysis of one cube: one pass in bounded memory, then all registered products.
+"""Analysis of a cube: sums over its segments in one pass, then all registered wave products.
 
-The store that `wavefield.analyze` writes of it is a Zarr hierarchy;
-``xarray.open_datatree(path, engine="zarr")`` reads it without this package. Its groups and variables are
-those of `wavefield.variables`, listed on the documentation's page on waves.
+`wavefield.analyze` writes the result to a Zarr hierarchy, which ``xarray.open_datatree(path, engine="zarr")``
+reads without this package. The documentation's page on waves lists its groups and variables.
 
-Conventions. k points where the wave goes: f = Re sum F exp(i (k . x - omega t)), omega > 0. Spectra are
-densities in rad/m and rad/s, one-sided in omega, so that the sum of E over its axes times the cell is the
-variance. Coordinates: ``omega`` (rad s-1) with ``frequency`` (Hz), ``k`` (rad m-1, centres of rings) with
-``cycles`` (m-1), ``kx`` and ``ky`` (rad m-1). Intervals are factors: the truth is in [low E, high E] with
-95 % confidence. ``valid`` masks show where a spectrum can be trusted.
+The wave vector k points where the wave goes: f = Re sum F exp(i (k . x - omega t)) with omega > 0. Spectra
+are densities per rad/m and rad/s, one-sided in omega; their integral is the variance. Coordinates are
+``omega`` (rad s-1) with ``frequency`` (Hz), ``k`` (rad m-1, centres of rings) with ``cycles`` (m-1), ``kx``
+and ``ky`` (rad m-1). Intervals are factors: low E to high E holds the truth with 95 % confidence. ``valid``
+marks the reliable part of a spectrum.
 """
 
 import threading
@@ -31,7 +30,7 @@ from wavefield.water import water_of
 from wavefield.waves import moments, motion, products
 from wavefield.waves.crests import POINT_DISTANCE
 from wavefield.waves.cross import NAMES, Requested, add_segment, transforms
-from wavefield.waves.current import delayed_current
+from wavefield.waves.current import SAMPLED_STEPS, delayed_current
 from wavefield.waves.gains import gain_of
 from wavefield.waves.inputs import described
 from wavefield.waves.record import FIELDS, Each, Record, filled_density, filled_error, find_record
@@ -47,20 +46,18 @@ from wavefield.waves.welch import (
 
 Array = NDArray[Any]
 
-BALANCE_STEPS = 200  # at which the kinematic balance is taken
-
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class Sums:
-    """Sums over all segments of a cube, from one pass."""
+    """Sums over all segments of a cube."""
 
     scale: dict[str, tuple[float, float]]  # rough mean and standard deviation of each field
-    ring_sums: dict[str, Array]  # as `cross.add_segment` gives it, over all segments
-    survey_sums: dict[str, Array]  # as `moments.sums_of` gives it
+    ring_sums: dict[str, Array]  # of `cross.add_segment`
+    survey_sums: dict[str, Array]  # of `moments.sums_of`
     balance_rows: list[dict[str, float]]  # of `motion.balance`, each with its "step"
-    point_series: Array  # (time, points), w at points far apart
+    point_series: Array  # w at distant nodes, (time, nodes)
 
 
 @dataclass
@@ -83,13 +80,13 @@ class _Partial:
 
 @dataclass(frozen=True)
 class _Chain:
-    """Accumulates sums over the half segments of a chain, in order."""
+    """Sums over the segments of a chain, as a task."""
 
     read: Reader
     welch: Welch
     scale: dict[str, tuple[float, float]]
     requested: Requested
-    every: int  # steps from one kinematic balance to the next
+    every: int  # steps between two kinematic balances
     report_progress: Callable[[], None] | None = None
 
     def __call__(self, links: Sequence[Link]) -> _Partial:
@@ -105,7 +102,7 @@ class _Chain:
         blocks.clear()
         if link.new:
             self._survey(fields, link.start, out)
-        # transforms come last: they release the fields
+        # the transforms come last, since they overwrite the fields
         half = transforms(fields, self.requested.names, self.welch, memory)
         if self.report_progress:
             self.report_progress()
@@ -128,7 +125,7 @@ class _Chain:
 
 
 class _Counter:
-    """Reports how many parts are done; called from any thread."""
+    """Reports the number of parts that are done, from any thread."""
 
     def __init__(self, progress: Progress, total: int) -> None:
         self._progress, self._total, self._done, self._lock = progress, total, 0, threading.Lock()
@@ -146,11 +143,11 @@ def one_pass(
     progress: Progress | None,
     each: Each | None = None,
 ) -> Sums:
-    """Read a cube once and sum over its segments."""
+    """Sums over the segments of a cube, which is read once."""
     record = welch.record
     scale = moments.rough_scales(cube, record, list(moments.QUANTITIES.values()))
     read = Reader([cube[name] for name in FIELDS], record)
-    chain = partial(_Chain, read, welch, scale, requested, max(1, record.steps_in_runs() // BALANCE_STEPS))
+    chain = partial(_Chain, read, welch, scale, requested, max(1, record.steps_in_runs() // SAMPLED_STEPS))
     chains = cut_chains(record, welch.segment)
     if each is None:
         count = None if progress is None else _Counter(progress, sum(len(links) for links in chains))
@@ -170,14 +167,14 @@ def _counted(results: Iterator[_Partial], count: _Counter | None) -> Iterator[_P
             count()
 
 
-# of an analysis: each holds half segments of all fields, a third of a GB for 100 x 130 nodes (eight: 3.4 GB)
+# Each thread holds half segments of all fields: .3 GB for 100 x 130 nodes, and 3.4 GB in all with eight.
 THREADS = 2
 
-MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz; 2.8 is the paper's
+MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz, of the maps E(ky, kx); 2.8 Hz is that of the paper
 
 
 class AnalysisOptions(TypedDict, total=False):
-    """Options of an analysis; all have defaults."""
+    """Options of an analysis, described in `wavefield.analyze`."""
 
     probes: xr.Dataset | None
     segment: int | None
@@ -195,28 +192,28 @@ def analyze(
     each: Each | None = None,
     **options: Unpack[AnalysisOptions],
 ) -> xr.DataTree:
-    """Compute all wave products of a cube that is in memory or opened lazily.
+    """Compute all wave products of a cube in memory or of a lazy cube.
 
     Parameters
     ----------
     cube : Dataset
         z, z_t, u, v, w over (time, y, x), m and m/s.
     progress : callable, optional
-        Called with the parts done and all parts.
+        Called with the number of parts done and of all parts.
     each : callable, optional
-        Does the work on workers, as in `wavefield.analyze`.
+        Maps work over items on workers, as in `wavefield.analyze`.
     **options
         As in `wavefield.analyze`, which also opens stores and writes the result.
 
     Returns
     -------
     DataTree
-        One group for each subject.
+        One group for each kind of product.
 
     Raises
     ------
     CubeError
-        If the cube lacks a variable, is shorter than a segment, has uneven steps or no full rectangle.
+        If the cube lacks a variable, is shorter than a segment, has uneven steps, or has no full rectangle.
     """
     unknown = options.keys() - AnalysisOptions.__annotations__
     if unknown:
@@ -266,7 +263,7 @@ def _analyze(
     filled = {name: filled_density(record, cube[name]) for name in ("z", "w")}
     values = {**given, "filled": filled, "welch": welch, "mean_current": (mean, mean_std), "pairs": pairs}
     waiting = list(registered)
-    notes = products.compute_ready(waiting, values, each)  # mistakes are found before the long pass
+    notes = products.compute_ready(waiting, values, each)  # finds mistakes before the long pass
     values |= vars(one_pass(cube, welch, Requested(NAMES, pairs, planes), progress, each))
     notes |= products.compute_ready(waiting, values, each)
 
@@ -311,11 +308,11 @@ def _attributes(given: Mapping[str, xr.Dataset], welch: Welch) -> dict[str, Any]
     }
 
 
-FEW_SEGMENTS = 7  # with fewer, single cells of a spectrum are uncertain
+FEW_SEGMENTS = 7  # the default segment is a quarter of the record and gives seven
 
 
 def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
-    """Notes on which part of the cube was used and what its length and field allow."""
+    """Notes on the part of the cube that was used, on its gaps and on its length."""
     record, count, sizes = welch.record, welch.count, cube.sizes
     used = record.steps_in_runs(welch.segment)
     out = []
@@ -346,7 +343,7 @@ def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
 
 
 def _note_on_holes(record: Record, z: xr.DataArray) -> str:
-    """A note on the filled nodes: how many, their error, and what that adds to the elevation spectrum."""
+    """Note on the filled nodes: their number, their error and its contribution to the spectrum of z."""
     share = record.holes / (record.steps_in_runs() * record.shape[0] * record.shape[1])
     text = f"{record.holes} missing nodes ({100 * share:.2g} %) were filled from their neighbours"
     error = filled_error(record, z)

@@ -1,4 +1,4 @@
-"""Mean velocity of a record, and which current an estimate used."""
+"""Mean velocity of a record, and the current that an estimate used."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,18 +14,17 @@ from wavefield.waves.welch import spatial_window
 
 Array = NDArray[np.float64]
 
-_CURRENT_STEPS = 256  # evenly spread over the record, that the mean is taken over; chosen
-_SLOWEST = 8  # Fourier lines of the means next to the mean itself, which show its uncertainty
+SAMPLED_STEPS = 256  # evenly spaced steps that give the means of a record; chosen
+_SLOWEST = 8  # lowest Fourier lines of the series of means, from which its uncertainty follows; chosen
 
 
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
-    """Mean u, v over measured nodes of evenly spaced steps, m/s, and its uncertainty, each (2,); delayed.
-    A Hann window weights the nodes: with equal weights a hundredth of the waves would remain, coherent with
-    z_t.
+    """Delayed mean u, v of evenly spaced steps and its standard uncertainty, each (2,), m/s.
+    A Hann window in space removes the waves; equal weights leave a hundredth of them, coherent with z_t.
     """
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
-    chosen = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, _CURRENT_STEPS).astype(int)})
+    chosen = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, SAMPLED_STEPS).astype(int)})
     area = slice(*record.y), slice(*record.x)
     task = dask.delayed(_means_of_steps, pure=False)
     parts = []
@@ -37,7 +36,7 @@ def delayed_current(cube: xr.Dataset, record: Record) -> Any:
 
 
 def _by_chunk(field: xr.DataArray, steps: list[int]) -> list[list[int]]:
-    """Group steps by chunk."""
+    """Lists of the steps in each chunk."""
     chunk = np.asarray(steps) // chunk_steps(field)
     return [[t for t, c in zip(steps, chunk) if c == number] for number in np.unique(chunk)]
 
@@ -57,7 +56,7 @@ def _mean_and_uncertainty(parts: list[list[list[float]]]) -> tuple[Array, Array]
     values = values[np.isfinite(values).all(axis=1)]
     if values.shape[0] < 2:
         return np.zeros(2) if not values.size else values[0], np.full(2, np.nan)
-    # the mean is the line at zero: it has the noise of its neighbours, and as little of the waves
+    # the mean is the Fourier line at zero, whose noise is that of the neighbouring lines
     lines = np.abs(np.fft.rfft(values - values.mean(axis=0), axis=0)[1 : _SLOWEST + 1]) ** 2
     return values.mean(axis=0), np.sqrt(lines.mean(axis=0)) / len(values)
 
@@ -71,18 +70,18 @@ class CurrentUsed:
 
     velocity: tuple[float, float]  # along x and y, m/s
     std: tuple[float, float]  # standard uncertainty, m/s; NaN where it was not estimated
-    source: str  # ``fit``, ``given``, or ``none`` where still water is assumed
-    reason: str = ""  # why the fit was refused
+    source: str  # ``fit``, ``given``, or ``none`` for still water
+    reason: str = ""  # reason for which the fit was refused
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes of a product that used it."""
+        """Attributes of a product that used this current."""
         out = {"current": list(self.velocity), "current_std": list(self.std), "current_source": self.source}
         return out | ({"current_fit_refused": self.reason} if self.reason else {})
 
 
 def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> CurrentUsed:
-    """The fitted current of a dispersion group, else the given one, m/s, else none."""
+    """Current fitted to the dispersion relation, else the given current, m/s, else still water."""
     if "current_x" in dispersion:
         velocity, std = ([float(dispersion[f"current_{a}{end}"]) for a in "xy"] for end in ("", "_std"))
         return CurrentUsed((velocity[0], velocity[1]), (std[0], std[1]), FITTED)

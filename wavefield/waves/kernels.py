@@ -1,9 +1,8 @@
-"""Inner loops of the spectral estimators, on plain arrays.
+"""Compiled inner loops of the spectral estimators, on plain arrays.
 
-The spatial transform of a piece of a record is held step by step, cells being ky x kx with kx >= 0; `join`
-turns it into lines along time, one per cell. Loops run along contiguous memory and vectorise: real and
-imaginary parts apart, no branches, unsigned indices where they run backwards (signed ones are checked for
-wrapping around).
+A spatial transform is stored by steps, with one value for each cell ky x (kx >= 0). `join` turns it into
+series in time, one for each cell. The loops vectorise: they run along contiguous memory, treat real and
+imaginary parts separately, have no branches, and use unsigned indices where they run backwards.
 """
 
 from typing import Any
@@ -16,24 +15,21 @@ from wavefield.compiled import compiled
 Array = NDArray[Any]
 
 _fast = compiled()
-# sums may be taken in any order, always the same one for the same shape
+# the compiler may reorder sums, in the same way for equal shapes
 _loose = compiled(fastmath={"reassoc", "contract", "nsz"})
-# and products are rounded before they are subtracted, so that conj(f) f is real
+# as above, but products are rounded before they are subtracted, so that conj(f) f is real
 _rounded = compiled(fastmath={"reassoc", "nsz"})
-_TILE = 8  # steps turned around at once: a line of the cache
+_TILE = 8  # steps transposed at once: a cache line of 64 bytes
 
 
 @_loose
 def join(first: Array, second: Array, window: Array, out: Array) -> None:
-    """Join two halves (n / 2, 2 * cells) of a segment, remove mean and trend, apply the window: (cells, 2 *
-    n).
-    """
+    """Join two halves (n / 2, 2 cells) of a segment, detrended and windowed, into (cells, 2 n)."""
     half, columns = first.shape
     n = 2 * half
     middle = (n - 1) / 2
     norm = n * (n * n - 1) / 12  # sum of (i - middle)^2
     real = window.dtype.type
-    # sums in double precision
     total = np.zeros(columns)
     moment = np.zeros(columns)
     for i in range(half):
@@ -75,7 +71,7 @@ def _add_row(row: Array, factor: float, out: Array) -> None:
 
 @_loose
 def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Array, out: Array) -> None:
-    """Add power and squared power of f (cells, n), +-omega, to rings (2, rings, n // 2 + 1)."""
+    """Add power and squared power of f (cells, n), both signs of omega, to rings (2, rings, n // 2 + 1)."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n, f.real.dtype)
@@ -101,7 +97,7 @@ def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Arra
 
 @_rounded
 def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Array, out: Array) -> None:
-    """As `ring_powers` for conj(f) g (real, imaginary), in phase with exp(i (k . x - omega t))."""
+    """As `ring_powers` for conj(f) g (real, imaginary), for waves exp(i (k . x - omega t))."""
     cells, n = f.shape
     half = n // 2
     real = np.empty(n, f.real.dtype)
@@ -126,7 +122,7 @@ def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Ar
 
 @_loose
 def ring_squares(f: Array, g: Array, start: Array, ring: Array, spread: Array, out: Array) -> None:
-    """Add |f|^2 |g|^2 of two fields (cells, n), both signs of omega, to rings (rings, n // 2 + 1)."""
+    """Add |f|^2 |g|^2 of two fields (cells, n), for both signs of omega, to rings (rings, n // 2 + 1)."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n)
@@ -147,7 +143,7 @@ def ring_squares(f: Array, g: Array, start: Array, ring: Array, spread: Array, o
 
 @_loose
 def add_powers(f: Array, out: Array) -> None:
-    """Add |f|^2, (cells, n), to sums."""
+    """Add |f|^2, (cells, n), to ``out``."""
     for c in range(f.shape[0]):
         line = f[c]
         to = out[c]
@@ -157,7 +153,7 @@ def add_powers(f: Array, out: Array) -> None:
 
 @_rounded
 def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) -> None:
-    """Add real and imaginary part of conj(f) g, (cells, n), times a factor (n,) each."""
+    """Add the real and imaginary parts of conj(f) g, (cells, n), each times a factor (n,), to ``out``."""
     for c in range(f.shape[0]):
         a = f[c]
         b = g[c]
@@ -169,7 +165,7 @@ def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) 
 
 @_fast
 def _along(z: Array, factor: float, out: Array) -> None:
-    """Derivative of a line by central differences of sixth order, of lower order at the ends."""
+    """Derivative of a line by central differences of sixth order, of lower order near the ends."""
     n = z.size
     if n > 6:
         a, b, c, d, e, f = z[4:], z[2:], z[5:], z[1:], z[6:], z
@@ -194,7 +190,7 @@ def _along(z: Array, factor: float, out: Array) -> None:
 
 @_fast
 def _across(z: Array, i: int, factor: float, out: Array) -> None:
-    """Derivative along the first axis at row i, by the differences of `_along`; factor is 1 / spacing."""
+    """Derivative across rows at row i, with the differences of `_along`; ``factor`` is 1 / spacing."""
     ny, nx = z.shape
     room = min(i, ny - 1 - i)
     if room >= 3:
@@ -221,7 +217,7 @@ def _across(z: Array, i: int, factor: float, out: Array) -> None:
 
 @_fast
 def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
-    """Gradient (steps, y, x) by central differences of sixth order, of lower order at the edges."""
+    """Gradient of z (steps, y, x) by central differences of sixth order, of lower order near the edges."""
     for t in range(z.shape[0]):
         for i in range(z.shape[1]):
             _along(z[t, i], 1 / dx, z_x[t, i])
@@ -238,7 +234,7 @@ def advection(
     dx: float,
     out: Array,
 ) -> None:
-    """Nonlinear term u . grad z of the steps (y, x) from ``first`` on, the gradient that of `gradient`."""
+    """Nonlinear term u . grad z of the steps from ``first`` on, with the differences of `gradient`."""
     z_y = np.empty(z.shape[2], z.dtype)
     z_x = np.empty(z.shape[2], z.dtype)
     for t in range(out.shape[0]):
@@ -254,8 +250,8 @@ def advection(
 
 @_loose
 def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: Array, counts: Array) -> None:
-    """Add the first four powers of (value - mean), (steps, nodes), at every node to ``sums`` (4, nodes).
-    Values are counted in bins from ``low`` on; the first and the last of ``counts`` hold the rest.
+    """Add the first four powers of value - mean, (steps, nodes), to the sums of each node, (4, nodes).
+    ``counts`` is a histogram from ``low`` on; its first and last bins count the values outside.
     """
     last = counts.size - 1
     for r in range(values.shape[0]):
@@ -274,8 +270,8 @@ def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: A
 
 @_loose
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
-    """Add waves to a spectrum (lines, ny, nx), each over neighbouring cells.
-    Cells start at ``first`` (3, waves); weights (3, waves, near) are per axis.
+    """Add the power of waves to a spectrum (lines, ny, nx), each spread over neighbouring cells.
+    The cells of a wave begin at ``first`` (3, waves) and have weights (3, waves, near) along each axis.
     """
     lines, ny, nx = out.shape
     near = weights.shape[2]
