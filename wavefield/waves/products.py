@@ -107,6 +107,7 @@ def compute_ready(
 
 
 def _computed(job: tuple[Callable[..., Any], Sequence[object], str]) -> Noted:
+    """Call the function of a job with its inputs; a CubeError becomes a note if the job allows it."""
     compute, inputs, without = job
     with np.errstate(all="ignore"):
         try:
