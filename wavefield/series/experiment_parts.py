@@ -170,7 +170,7 @@ class WaterSection(ConfigSection):
 class ProbesSection(ConfigSection):
     """A CSV file of wave probes: ``time`` (s) and a column per probe."""
 
-    file: PathText = Field(examples=["probes.csv"])
+    file: PathText = Field(examples=["probes.csv"], description="CSV file; see Wave probes")
     unit: Literal["m", "cm", "mm", "um"] = Field(default="m", description="unit of the elevations")
     factor: float = Field(
         default=1.0, description="multiplies the elevations; -1 for gauges that count downwards"
