@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from wavefield import __version__
-from wavefield.measurement.algorithm import ALGORITHM
+from wavefield.measurement.step import ALGORITHM
 
 RESULTS = Path(__file__).with_name("results")
 

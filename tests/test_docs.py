@@ -249,7 +249,7 @@ def test_every_key_of_an_experiment_workflow_target_and_the_settings_is_document
 
 def test_stored_results_of_an_earlier_measurement_say_so_on_their_page():
     from benchmarks.results import RESULTS, Result
-    from wavefield.measurement.algorithm import ALGORITHM
+    from wavefield.measurement.step import ALGORITHM
 
     pages = "".join((ROOT / page).read_text(encoding="utf-8") for page in ("README.md", "docs/validation.md"))
     for path in sorted(RESULTS.glob("*.json")):

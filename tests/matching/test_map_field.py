@@ -66,7 +66,7 @@ def test_a_gap_is_filled_as_well_as_its_uncertainty_states_and_better_than_by_no
     a = known / noise**2
     errors, stds = [], []
     for truth in sea(shape, steep_law, rng, 12):
-        data = modes.seen(modes.waves(truth[None].astype(np.float32)))
+        data = modes.block_mean(modes.waves(truth[None].astype(np.float32)))
         data = data + noise * rng.standard_normal(shape).astype(np.float32)
         start = modes.waves(known * data)
         waves = modes.solve(a[None], a * data, start, 1e-3, modes.factor(a))

@@ -7,8 +7,8 @@ solves
     (F A F + 1/S) f = F (A u + s / nu).
 
 F and S are diagonal in cosine modes, A is diagonal in blocks and zero in holes. The two components of a
-displacement have separate spectra. "Waves" in names are the cosine coefficients of a field; `seen` is the
-field averaged over the footprint, which is what the blocks measure.
+displacement have separate spectra. "Waves" in names are the cosine coefficients of a field; `block_mean` is
+the field averaged over the footprint, which is what the blocks measure.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class Modes:
         """Field (c, ny, nx) of coefficients (c, my, mx)."""
         return self._cosines.field(waves)
 
-    def seen(self, waves: Float) -> Float:
+    def block_mean(self, waves: Float) -> Float:
         """Field (c, ny, nx) averaged over the footprint of a block, from coefficients (c, my, mx)."""
         return self.field(self.foot * waves)
 
@@ -134,18 +134,18 @@ class Modes:
         start: Float,
         tolerance: float,
         factor: Factor,
-        seen: Float | None = None,
+        block_mean: Float | None = None,
     ) -> Float:
         """Solve (F A F + 1/S) f = F b by preconditioned conjugate gradients; return f, (c, my, mx).
 
         `information` (1 or 3, ny, nx) is A of one component, or A_xx, A_xy, A_yy of two. `right` (c, ny, nx)
         is b = A u + s / nu, with u less its smooth part (`split`). `start` (c, my, mx) is the first guess;
-        `seen` is its field averaged over the footprint, computed if None. The solver stops if the rms over
-        the modes of the residual, in units of its own uncertainty, is below `tolerance`.
+        `block_mean` is its field averaged over the footprint, computed if None. The solver stops if the rms
+        over the modes of the residual, in units of its own uncertainty, is below `tolerance`.
         """
         a, c = information, len(right)
-        seen = self.seen(start) if seen is None else seen
-        residual = self.foot * self.waves(right - _apply_information(a, seen)) - self.inverse * start
+        block_mean = self.block_mean(start) if block_mean is None else block_mean
+        residual = self.foot * self.waves(right - _apply_information(a, block_mean)) - self.inverse * start
         waves, residual = self._cosines.split_parities(start), self._cosines.split_parities(residual)
         foot, inverse = (np.repeat(f, c // f.shape[3], axis=3) for f in self._by_parity)
         typical = np.array([a[0].mean(), a[-1].mean()], np.float32)[:c, None]

@@ -96,15 +96,18 @@ def map_displacement(
     found = match
     u = filled(match)
     edges, waves = modes.split(u)
-    seen, a, beyond, beside = None, u, edges, np.zeros_like(u)
+    block_mean, a, not_in_modes, harmonic = None, u, edges, np.zeros_like(u)
     convergence = Convergence()
     for number in range(MAX_EVALUATIONS):
         if number:
             if with_harmonics:
-                before, beside = beside, harmonics(modes.field(waves) + edges)
-                waves = waves - modes.waves(beside - before)
-                seen, beyond = modes.seen(waves), edges + averaged(beside, modes.prior.area)
-            u = seen + beyond
+                before, harmonic = harmonic, harmonics(modes.field(waves) + edges)
+                waves = waves - modes.waves(harmonic - before)
+                block_mean, not_in_modes = (
+                    modes.block_mean(waves),
+                    edges + averaged(harmonic, modes.prior.area),
+                )
+            u = block_mean + not_in_modes
             found = reevaluate(one, other, u[0], u[1], match.settings)
         counts = found.valid.astype(np.float32)
         trace = found.hessian[0] + found.hessian[2]
@@ -116,17 +119,17 @@ def map_displacement(
         counts /= nu * np.float32(modes.prior.noise)
         a = found.hessian * counts
         right = found.score * counts
-        x, y = u - beyond
+        x, y = u - not_in_modes
         right[0] += a[0] * x + a[1] * y
         right[1] += a[1] * x + a[2] * y
         if not number:
             information = np.float32(0.5) * (a[0] + a[2])
             factor, tolerances = modes.factor(information), modes.tolerances(information)
-        solved = modes.solve(a, right, waves, tolerances[min(number, 1)], factor, seen)
-        waves, seen = convergence.next(modes, waves, solved, seen)
+        solved = modes.solve(a, right, waves, tolerances[min(number, 1)], factor, block_mean)
+        waves, block_mean = convergence.next(modes, waves, solved, block_mean)
         if convergence.converged:
             break
-    return FlowEstimate(waves, edges, beside, a[::2], found)
+    return FlowEstimate(waves, edges, harmonic, a[::2], found)
 
 
 def flows(

@@ -100,12 +100,12 @@ def map_elevation(
     edges, waves = modes.split(z)
     pairs = [_PairScores(m, pixel) for m in matches]
     smooth, epipolar = _smooth_across(matches, modes)
-    seen, scores = None, [z[0]]
+    block_mean, scores = None, [z[0]]
     information = z[:1]
     convergence = Convergence(float(np.sqrt(np.mean([np.square(one.D).sum(axis=0) for one in pairs]))))
     for number in range(MAX_EVALUATIONS):
         if number:
-            z = seen + edges
+            z = block_mean + edges
             for one in pairs:
                 one.reevaluate(z[0], prepared, whole_beads)
         scores = [one.score(z[0]) for one in pairs]
@@ -119,8 +119,8 @@ def map_elevation(
         right = information * (z - edges) + (score / nu)[None]
         if not number:
             factor, tolerances = modes.factor(information[0]), modes.tolerances(information[0])
-        solved = modes.solve(information, right, waves, tolerances[min(number, 1)], factor, seen)
-        waves, seen = convergence.next(modes, waves, solved, seen)
+        solved = modes.solve(information, right, waves, tolerances[min(number, 1)], factor, block_mean)
+        waves, block_mean = convergence.next(modes, waves, solved, block_mean)
         if convergence.converged:
             break
     lengths = [np.hypot(*one.D) for one in pairs]

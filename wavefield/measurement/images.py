@@ -108,8 +108,8 @@ def ready(
         low, half, _ = _levels(image, covered)
         # beads are much brighter than the median; a black level above it suppresses noise and grains of a
         # floor
-        return bin_pixels(even_out(image, half + (half - low), covered), count)
-    return bin_pixels(even_out(image, covered=covered), count)
+        return bin_pixels(log_compress(image, half + (half - low), covered), count)
+    return bin_pixels(log_compress(image, covered=covered), count)
 
 
 def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
@@ -122,7 +122,7 @@ def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
     return np.asarray(cv2.sepFilter2D(part, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REPLICATE))
 
 
-def even_out(
+def log_compress(
     image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
     """Compress the brightness I to 5000 log(1 + (I - B) / (0.5 (I_99 - B))), with the black level B.

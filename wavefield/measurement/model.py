@@ -211,26 +211,28 @@ class Convergence:
         """Whether no further evaluation of the images is needed."""
         return self._diverged or (self._evaluations >= MIN_EVALUATIONS and self._change <= self._allowed)
 
-    def next(self, modes: Modes, waves: Float, solved: Float, seen: Float | None) -> tuple[Float, Float]:
+    def next(
+        self, modes: Modes, waves: Float, solved: Float, block_mean: Float | None
+    ) -> tuple[Float, Float]:
         """Coefficients (c, my, mx) to continue with, and their field averaged over the footprint.
 
-        `waves` is the previous solution with its field `seen` (None at first), `solved` the new one. The mean
-        of both is returned if solutions oscillate, the previous one if the new one is no plausible
+        `waves` is the previous solution with its field `block_mean` (None at first), `solved` the new one.
+        The mean of both is returned if solutions oscillate, the previous one if the new one is no plausible
         displacement.
         """
-        after = modes.seen(solved)
+        after = modes.block_mean(solved)
         self._diverged = not self._scale * float(np.abs(after).max()) < MAX_FIELD_PX  # true for NaN as well
         if self._diverged:
-            return waves, modes.seen(waves)
+            return waves, modes.block_mean(waves)
         self._evaluations += 1
-        if seen is None:
+        if block_mean is None:
             return solved, after
-        change = self._scale * float(np.sqrt(np.mean(np.square(after - seen))))
+        change = self._scale * float(np.sqrt(np.mean(np.square(after - block_mean))))
         relative = MAX_RELATIVE_CHANGE * self._scale * float(after.std())
         self._allowed = min(MAX_CHANGE_PX, max(NEGLIGIBLE_CHANGE_PX, relative))
         limit = max(OSCILLATION_RATIO * self._change, self._allowed)
         self._change = change
         if self._evaluations > MIN_EVALUATIONS and change > limit:
             half = np.float32(0.5)
-            return half * (waves + solved), half * (seen + after)
+            return half * (waves + solved), half * (block_mean + after)
         return solved, after

@@ -18,7 +18,6 @@ from wavefield.errors import ExperimentError, RigError
 from wavefield.execution.cluster import count_workers
 from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
-from wavefield.measurement.algorithm import ALGORITHM
 from wavefield.measurement.search_range import (
     FirstGuess,
     FirstHeights,
@@ -27,6 +26,7 @@ from wavefield.measurement.search_range import (
     high_enough,
     wide_enough,
 )
+from wavefield.measurement.step import ALGORITHM
 from wavefield.pipeline.opened_run import image_names
 from wavefield.quality.remarks import MIN_COVERAGE
 from wavefield.rig import Rig
