@@ -54,7 +54,7 @@ def file_names(folder: Path) -> list[str]:
 
 
 def read_mark(path: Path) -> Product | None:
-    """Return the product that the mark of a file or Zarr store names; StoreError if it must not be read.
+    """Return the product that the mark of a file or Zarr store names; StoreError without permission to read.
     None if it has no mark, or if its content was changed since the mark was written.
     """
     try:
@@ -83,7 +83,7 @@ def has_mark(store: Path) -> bool:
 
 
 def write_mark(path: Path, product: Product) -> None:
-    """Append the mark of a product to a finished text file, or add it to the attributes of a Zarr store."""
+    """Append the mark of a product to a finished file, or add it to the attributes of a Zarr store."""
     if path.is_dir():
         file = path / "zarr.json"
         data = json.loads(file.read_bytes())
@@ -250,7 +250,9 @@ def remove_leftovers(path: Path) -> None:
 
 
 def make_durable(paths: Iterable[Path]) -> None:
-    """Wait until files and folders are on the disk (fsync); missing or unreadable ones are skipped."""
+    """Wait until files and folders are on the disk (fsync); missing or unreadable ones are skipped.
+    OSError if the disk fails.
+    """
     for path in paths:
         try:
             number = os.open(path, os.O_RDONLY)

@@ -368,7 +368,9 @@ def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
 
 
 def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any], str | None]:
-    """Follow a problem's location through types; return its keys in the file, sections, and an example."""
+    """Follow a problem's location through types; return its keys in the file, the sections that
+    could have the last key, and an example of a value (or None).
+    """
     names: list[Key] = []
     sections = annotations = _members(kind)
     example = None

@@ -102,7 +102,9 @@ def open_cluster(
 def _connect(
     workflow: Workflow, logs: Path, imports: Sequence[str], stack: ExitStack
 ) -> tuple["Client", Watch]:
-    """Return a client of the workflow's scheduler, and a watch over its workers; `stack` closes them."""
+    """Return a client of the workflow's scheduler, and a watch over its workers; `stack` closes them.
+    `logs` and `imports` are those of `open_cluster`.
+    """
     from distributed import Client
 
     if workflow.cluster == "address":
@@ -207,7 +209,7 @@ def _map_here(work: Work, items: Sequence[Any]) -> Results:
 
 def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Sequence[Any]) -> Results:
     """Yield each item with its result or exception, as Dask's workers finish; StoreError without a scheduler.
-    At most two items for each of `workers` are submitted at a time.
+    At most two items for each of `workers` are submitted at a time; `watch(client)` is called in between.
     """
     from distributed import CancelledError, wait
 
@@ -252,7 +254,7 @@ def _result(task: Any) -> Any:
 
 
 def _do(packed: bytes, versions: str, item: Any) -> Any:
-    """Return the result of pickled work for an item, on a worker.
+    """Return the result of work, pickled in `packed`, for an item; called on a worker.
     ExperimentError if the process that sent it runs other `versions` than this one.
     """
     if own_versions() != versions:

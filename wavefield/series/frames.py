@@ -32,6 +32,7 @@ class CameraMask:
 
 @lru_cache(maxsize=16)
 def _covered(mask: CameraMask) -> NDArray[np.bool_]:
+    """Return where pixels are masked, (row, column), read-only; the last 16 masks are kept."""
     drawn = np.zeros(mask.shape, np.uint8)
     for outline in mask.outlines:
         cv2.fillPoly(drawn, [np.rint(outline).astype(np.int32)], 1)

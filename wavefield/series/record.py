@@ -79,7 +79,9 @@ def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int,
 def _place_by_clocks(
     record: RecordSection, numbered: dict[str, Numbered], path: Path, folder: Path
 ) -> tuple[dict[str, Numbered], dict[str, Times]]:
-    """Return the frames renumbered by the cameras' clocks, and the times, s, of cameras that have a clock."""
+    """Return the frames renumbered by the cameras' clocks, and the times, s, of cameras that have a clock.
+    ExperimentError if only some cameras have the key `times`, or if times do not fit the frames.
+    """
     stamped = {
         name: _time_stamps(name, section, path, folder)
         for name, section in record.cameras.items()

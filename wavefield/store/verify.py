@@ -158,8 +158,8 @@ def _damages(
 
 
 def missing_chunks(path: Path, layout: StoreLayout) -> list[int]:
-    """Return the first step of each chunk that is not as `frame_status` has it.
-    Steps of the chunk have a result but a file is missing, or `frame_status` itself is damaged.
+    """Return the first step of each chunk that `frame_status` calls done but of which a file is missing.
+    Chunks with a damaged `frame_status` are included.
     """
     group = open_group(path)
     numbered = enumerate(layout.chunks())

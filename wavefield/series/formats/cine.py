@@ -68,7 +68,9 @@ def open_cine(path: Path) -> Recording:
 
 
 def _times(stream: BinaryIO, at_setup: int, at_offsets: int) -> NDArray[np.float64]:
-    """Return the times of the images, s; empty if the file has none. `at_...` are positions in it, bytes."""
+    """Return the times of the images, s; empty if the file has none.
+    `at_setup` and `at_offsets` are the bytes at which its SETUP and its list of images begin.
+    """
     stream.seek(at_setup + _MARK)
     mark = stream.read(4)
     place = at_setup + int.from_bytes(mark[2:], "little")
