@@ -381,7 +381,7 @@ def multiply(a: Float, quarters: Float) -> None:
 
 @reassociating
 def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
-    """From the four parities of a value to its four mirror images, or back (without the factor 1/4)."""
+    """Values at four mirror-image positions from the four even and odd parts, or the reverse times 4."""
     p, q, r, s = ee + oe, eo + oo, ee - oe, eo - oo
     return p + q, p - q, r + s, r - s
 

@@ -1,4 +1,4 @@
-"""Match the rectified images of one pair of cameras."""
+"""Match the rectified images of one pair of cameras; match points in all cameras, to level a rig."""
 
 from __future__ import annotations
 
