@@ -1,8 +1,8 @@
-"""Write a file or folder completely or not at all, and never over anybody else's.
+"""Write files and folders completely or not at all, and never replace those of other programs.
 
-Every product ends with a mark: its kind, the identity of what it was made from, and a digest of its content.
-A file that is there is replaced only by the same product of the same source, and only if its content is still
-as this program wrote it. Everything else is left as it is.
+Every output of wavefield ends with a mark: its kind, the identity of the data that it was made from, and a
+digest of its content. An existing file is replaced only by output of the same kind from the same data, and
+only if its content is unchanged since wavefield wrote it.
 """
 
 import errno
@@ -23,8 +23,11 @@ from filelock import FileLock, Timeout
 
 from wavefield.errors import StoreError
 
-_DRAFT = ".wavefield-"  # start of the name of a folder that holds an unfinished product
-_REMOVALS, _PAUSE = 50, 0.05  # s: a chunk that is being written takes less than this in all
+_DRAFT = ".wavefield-"  # start of the name of a folder with an unfinished output
+_REMOVALS, _PAUSE = (
+    50,
+    0.05,
+)  # attempts, and seconds between: Zarr needs less to end writing a chunk
 _DRAFT_NOTE = "unfinished output of wavefield: the next command that writes in this folder removes it\n"
 _MARK = re.compile(rb"\n(?:# |<!-- )wavefield ([a-z ]+) ([0-9a-f]{16}) ([0-9a-f]{32})(?: -->)?\n\Z")
 _MARK_BYTES = 200  # a mark is shorter
@@ -131,7 +134,7 @@ def check_replaceable(path: Path, product: Product | None = None, replace: bool 
         mode = os.lstat(path).st_mode
     except FileNotFoundError:
         return
-    except OSError as error:  # a folder that is a file, a name that is too long
+    except OSError as error:  # such as a name that is too long, or a file in place of a folder
         raise write_error(path, error) from None
     if stat.S_ISLNK(mode):
         raise StoreError(
@@ -192,7 +195,7 @@ def atomic(
                 write_mark(draft, product)
             if draft.is_file():
                 make_durable([draft])
-            check_replaceable(path, product, replace)  # it may have appeared meanwhile
+            check_replaceable(path, product, replace)  # a file may have appeared in the meantime
             if path.is_dir():
                 path.rename(folder / "old")
             elif path.exists() and draft.is_file():
@@ -205,7 +208,7 @@ def atomic(
 def _draft_folder(path: Path) -> Iterator[Path]:
     """Yield a new, locked folder next to a path for its draft; first remove folders of killed writers."""
     remove_leftovers(path)
-    folder = path.with_name(f"{_DRAFT}{uuid.uuid4().hex}")  # named before a signal can come between
+    folder = path.with_name(f"{_DRAFT}{uuid.uuid4().hex}")  # named before a signal may interrupt
     try:
         folder.mkdir(mode=0o700)
         with FileLock(folder / "lock"):
@@ -256,12 +259,12 @@ def make_durable(paths: Iterable[Path]) -> None:
     for path in paths:
         try:
             number = os.open(path, os.O_RDONLY)
-        except (FileNotFoundError, NotADirectoryError, PermissionError):  # Windows opens no folders
+        except (FileNotFoundError, NotADirectoryError, PermissionError):  # Windows cannot open folders
             continue
         try:
             os.fsync(number)
         except OSError as error:
-            if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):  # disks without such a call
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):  # file systems without fsync
                 raise
         finally:
             os.close(number)

@@ -1,4 +1,4 @@
-"""Numba's compiler as the inner loops use it, in words that a type checker can read."""
+"""Compile inner loops with numba, and keep the compiled code on disk for later processes."""
 
 import functools
 import hashlib
@@ -26,15 +26,15 @@ def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
     are those of `numba.njit`. It runs without the GIL. Processes may compile at the same time; each does so
     for itself if the disk cannot be written.
     """
-    njit: Any = numba.njit  # its own types take the options one by one
+    njit: Any = numba.njit  # its type hints do not accept options as a mapping
 
     def decorate(loop: Loop) -> Loop:
         try:
             out: Any = njit(cache=True, nogil=True, **options)(loop)
-        except RuntimeError:  # no folder to keep it in: neither beside the sources nor at home
+        except RuntimeError:  # no folder for the cache can be written
             out = njit(nogil=True, **options)(loop)
         cache: Any = getattr(out, "_cache", None)
-        if hasattr(cache, "_cache_file"):  # compiling may be switched off, or nothing be kept
+        if hasattr(cache, "_cache_file"):  # absent if compilation or the cache is switched off
             cache._cache_file = _CompiledFiles(Path(cache.cache_path), cache._impl.filename_base, loop)
         for one in signature:
             for types in one if isinstance(one, list) else [one]:
@@ -69,7 +69,7 @@ class _CompiledFiles:
             with suppress(OSError):
                 new.unlink()
         for old in self._folder.glob(f"{self._base}.*"):
-            if not old.name.startswith(f"{self._base}.{self._sources}"):  # of sources that have changed since
+            if not old.name.startswith(f"{self._base}.{self._sources}"):  # compiled from earlier sources
                 with suppress(OSError):
                     old.unlink()
 

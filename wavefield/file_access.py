@@ -1,4 +1,4 @@
-"""Files that may never answer."""
+"""Refuse pipes and devices, which may block a reader for ever."""
 
 import os
 import stat
@@ -10,7 +10,7 @@ from wavefield.errors import WavefieldError
 
 def refuse_pipe(path: str | Path, error: type[WavefieldError]) -> None:
     """Raise `error` if `path` is a pipe or a device: a pipe without a writer blocks its reader for ever."""
-    with suppress(OSError, ValueError):  # what is not there is reported by its reader
+    with suppress(OSError, ValueError):  # missing files are reported when they are read
         mode = os.stat(path).st_mode
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise error(

@@ -1,10 +1,10 @@
-"""The regular physical grid on which every quantity is measured."""
+"""The regular grid of nodes on which every quantity is measured."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-MOST_NODES = 20_000_000  # cameras of 20 Mpx see no more
+MOST_NODES = 20_000_000  # one node per pixel of a camera of 20 Mpx; more is a wrong unit
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Grid:
 
     def _axis(self, ends: tuple[float, float]) -> np.ndarray:
         """Return the positions of the nodes between two ends, metres."""
-        # one multiplication per node and rounding to the nanometre: 0.1 + 0.2 must print as 0.3
+        # rounded to the nanometre, so that 0.1 + 0.2 is 0.3
         n = int(np.floor((ends[1] - ends[0]) / self.step + 1e-6)) + 1
         return np.round(ends[0] + self.step * np.arange(n), 9)
 

@@ -1,6 +1,6 @@
-"""Public names of a package that are imported on first use: `import wavefield` and its rooms stay quick.
+"""Import the public names of a package on first use, so that `import wavefield` is fast.
 
-In place of lazy_loader.attach_stub, which accepts neither absolute imports nor other names (`as`) in a stub.
+Used instead of lazy_loader.attach_stub, which accepts neither absolute imports nor `as` in a stub.
 """
 
 import ast

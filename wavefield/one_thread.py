@@ -1,4 +1,4 @@
-"""Linear algebra on one thread: its matrices are small, blocks run side by side, and bits must not depend."""
+"""Run linear algebra on one thread: matrices are small, and results must not depend on threads."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def one_thread() -> Generator[None]:
     with _lock:
         if not _state["depth"]:
             _take_control()
-            # anew each time: what was loaded since the last may have a library of its own
+            # each time, because modules loaded since may have brought another BLAS library
             _state["limits"] = threadpoolctl.threadpool_limits(limits=1, user_api="blas")
         _state["depth"] += 1
     try:

@@ -1,4 +1,4 @@
-"""Peaks between samples."""
+"""Position of a peak between samples."""
 
 from typing import Any
 

@@ -1,11 +1,11 @@
-"""Estimators that blunders hardly change: once, for every room."""
+"""Estimators that are insensitive to outliers."""
 
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-PER_MEDIAN = 1.4826  # standard deviation of a normal distribution over its median absolute value
+PER_MEDIAN = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
 def robust_std(values: NDArray[np.floating]) -> float:

@@ -1,4 +1,4 @@
-"""Which steps or frames of a record are sampled."""
+"""Indices of the steps or frames of a record that are sampled."""
 
 
 def evenly_spaced(count: int, number: int) -> list[int]:

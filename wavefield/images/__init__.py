@@ -1,4 +1,4 @@
-"""Reading and writing image files: one grey image at a time."""
+"""Read and write grey images: TIFF, PNG, BMP, JPEG, and DaVis' IM7."""
 
 import re
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from wavefield.text import one_line
 
 PNG, JPEG, BMP = b"\x89PNG", b"\xff\xd8\xff", b"BM"
 ENDINGS = (*tiff.ENDINGS, ".png", ".bmp", ".jpg", ".jpeg")
-CONVERTED = (np.uint8, np.uint16, np.float32)  # colour images of these types are made grey by OpenCV
+CONVERTED = (np.uint8, np.uint16, np.float32)  # types of colour images that OpenCV can convert to grey
 
 
 def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
@@ -62,7 +62,7 @@ def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
         image = _decode(stream.read(), start)
     except (imagecodecs.PngError, ValueError, cv2.error, MemoryError) as error:
         words = one_line(error)
-        if re.search("unsupported (jpeg|color)", words, re.IGNORECASE):  # a kind, not a damaged marker
+        if re.search("unsupported (jpeg|color)", words, re.IGNORECASE):  # a valid file of an unsupported kind
             raise FrameError(f"{name} is not supported ({words}); save it as TIFF or PNG") from None
         raise FrameError(f"{name} is corrupt or truncated: {words}; copy it again from the camera") from None
     if image is None:
@@ -76,7 +76,7 @@ def _decode(data: bytes, start: bytes) -> np.ndarray | None:
     """Return an image from a file's bytes, colours as RGB; None if `start`, its first bytes, is unknown."""
     if start == PNG:
         return np.asarray(imagecodecs.png_decode(data))
-    if start[:3] == JPEG:  # strict: what libjpeg only warns of is an error
+    if start[:3] == JPEG:  # strict: warnings of libjpeg, such as truncated data, are errors
         return np.asarray(simplejpeg.decode_jpeg(data, "GRAY", strict=True))[..., 0]
     if start[:2] == BMP:
         with _quiet():
@@ -119,7 +119,7 @@ def _quiet() -> Iterator[None]:
     try:
         yield
     finally:
-        if before != cv2.utils.logging.LOG_LEVEL_SILENT:  # else another thread is reading and sets it back
+        if before != cv2.utils.logging.LOG_LEVEL_SILENT:  # else another thread will restore it
             cv2.utils.logging.setLogLevel(before)
 
 

@@ -11,7 +11,7 @@ from wavefield.errors import FrameError
 from wavefield.text import one_line
 
 _HEAD = struct.Struct("<hhhh4i")  # version, packing, kind, sparse; columns, rows, depth, frames
-MAX_COMPRESSION = 2000  # by zlib
+MAX_COMPRESSION = 2000  # pixels per byte of a file; zlib does not compress more
 
 
 def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
@@ -35,7 +35,7 @@ def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
         raise FrameError(f"{path} has {count} images: there is no image {frame}")
     try:
         return np.asarray(lvpyio.read_buffer(str(path))[frame].components["PIXEL"].planes[0])
-    except Exception as error:  # of many kinds, by the damage
+    except Exception as error:  # damage raises errors of many kinds
         words = one_line(error).rstrip("!.")
         raise FrameError(f"{path} is damaged or truncated ({words}); copy it again") from None
 

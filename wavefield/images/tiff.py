@@ -1,7 +1,7 @@
 """TIFF files, decoded by tifffile and imagecodecs.
 
-Pixels are those of the sensor: an orientation tag turns nothing, because a rig belongs to the images as they
-were stored. Bright is bright: values are inverted where the tags state that the smallest is white.
+Images stay as the sensor recorded them: orientation tags are ignored, because a rig belongs to the images as
+stored. Values are inverted if the tags say that 0 is white, so that large values are always bright.
 """
 
 import logging
@@ -16,13 +16,13 @@ from tifffile import COMPRESSION, PHOTOMETRIC
 from wavefield.errors import FrameError
 from wavefield.text import one_line
 
-logging.getLogger("tifffile").addHandler(logging.NullHandler())  # damage is reported here
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # damage is reported by our own errors
 ENDINGS = (".tif", ".tiff")
 STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 GREY = (PHOTOMETRIC.MINISBLACK, PHOTOMETRIC.MINISWHITE)
 COLOUR = (PHOTOMETRIC.RGB, PHOTOMETRIC.PALETTE)
 JPEG = (COMPRESSION.JPEG, COMPRESSION.OJPEG)  # their YCbCr is decoded as RGB
-PAGES_TRIED = 4  # for thumbnails: where these have none, no page has
+PAGES_TRIED = 4  # pages that are tested for thumbnails: if none of these is one, no page is
 
 
 class TiffImages:

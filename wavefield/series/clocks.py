@@ -19,10 +19,10 @@ from wavefield.series.probes import numbered_lines
 Times = NDArray[np.float64]
 Images = str | Sequence[str | None]  # images of a camera, as the experiment file names them
 
-MAX_OFFSET = 0.25  # intervals between an image's time and its place: half-way to where places are ambiguous
-RATE_DISAGREEMENT = 0.01  # of a rate: by as much a velocity would be wrong
-UNIT_TOLERANCE = 0.05  # of a rate that the experiment file rounds
-DEPARTURE_STEP = 1e-4  # intervals, to which departures are rounded: changes a velocity by as little
+MAX_OFFSET = 0.25  # largest offset of a time stamp from an even time, intervals; at 0.5 it is ambiguous
+RATE_DISAGREEMENT = 0.01  # relative; velocities would be wrong by as much
+UNIT_TOLERANCE = 0.05  # relative; the experiment file may give a rounded rate
+DEPARTURE_STEP = 1e-4  # intervals: delays are rounded to this, which changes velocities by 0.01 %
 
 
 def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times | None:
@@ -64,7 +64,7 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     if not len(usual):
         return
     interval = float(usual.mean())
-    frames = interval * frame_rate  # per interval
+    frames = interval * frame_rate  # frames per interval between time stamps
     if abs(frames - 1.0) > max(RATE_DISAGREEMENT, float(np.ptp(usual)) / interval / len(usual)):
         rate = float(f"{1.0 / interval:.4g}")
         remedy = f"set `frame_rate: {rate:g}`, or correct the times (they are in seconds)"

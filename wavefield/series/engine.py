@@ -18,7 +18,7 @@ from wavefield.series.frames import FrameSeries
 from wavefield.store.cube import open_cube
 from wavefield.variables import TABLE
 
-CHUNK_BYTES = 100_000_000  # read at once
+CHUNK_BYTES = 100_000_000  # size of a Dask chunk of images
 
 
 class FrameWarning(UserWarning):

@@ -1,4 +1,4 @@
-"""The experiment file: one YAML file with all that is known of an experiment."""
+"""The experiment file: one YAML file with cameras, images, rig, grid, water and settings."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -34,7 +34,7 @@ from wavefield.series.probes import read_probes
 from wavefield.series.record import open_record
 from wavefield.text import html_table
 
-SAME_PLACE = 1e-4  # of a camera's distance: nearer cameras show no parallax
+SAME_PLACE = 1e-4  # distance between two cameras over that to the water; nearer ones have no parallax
 
 
 class Experiment(RecordSection):
@@ -396,5 +396,5 @@ def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, flo
         if settings.get("sheet_thickness"):
             return 0.5 * float(settings["sheet_thickness"])
     except (TypeError, ValueError):
-        pass  # the settings' own check reports it
+        pass  # reported when the settings are checked
     return None

@@ -71,7 +71,7 @@ class RecordSection(ConfigSection):
     @classmethod
     def _name_is_text(cls, value: object) -> object:
         number = isinstance(value, int | float) and not isinstance(value, bool)
-        return str(value) if number else value  # `name: 7` is a fine name
+        return str(value) if number else value  # YAML reads `name: 7` as a number
 
     @field_validator("cameras")
     @classmethod

@@ -1,4 +1,4 @@
-"""The frames of one camera: the place of each, its mask, and reading it."""
+"""The frames of one camera: their files, numbers and masks, and how they are read."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -49,7 +49,7 @@ def _covered(mask: CameraMask) -> NDArray[np.bool_]:
     return out
 
 
-INTERLACED_SAMPLES = 5  # frames
+INTERLACED_SAMPLES = 5  # frames that are tested
 INTERLACED_RATIO = 1.05  # images of one moment: 0.73 to 1.0; interlaced: 1.02 to 1.13, median 1.10
 
 
@@ -154,7 +154,7 @@ class FrameSeries:
     def window(self, start: int, stop: int) -> "FrameSeries":
         """Return the frames at indices start to stop - 1 as a series without times, to send to a worker."""
         start = max(start, 0)
-        # the measurement of a chunk does not need times
+        # times are left out: chunks (steps that one task measures) get their delays separately
         entries = list(self.entries[start:stop])
         return replace(self, first=self.first + start, entries=entries, times=None)
 
@@ -196,7 +196,7 @@ def check_content(image: np.ndarray, place: str) -> Frame:
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())
         return Frame(None, FrameFault.UNREADABLE, f"{place} has {bad} pixels that are not finite numbers")
-    # nearly every image has contrast in a sample of its pixels
+    # a sample of the pixels shows contrast in nearly every image, and is faster
     sample = image[::17, ::17]
     if sample.min() == sample.max() and image.min() == image.max():
         return Frame(None, FrameFault.BLANK, f"{place} is blank (all pixels are {image.flat[0]})")

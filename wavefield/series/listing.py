@@ -22,8 +22,8 @@ Numbered = dict[int, FrameEntry]  # frames of a camera by frame number
 Images = str | Sequence[str | None]  # as in the experiment file
 
 SINGLE_IMAGE_ENDINGS = (".png", ".bmp", ".jpg", ".jpeg")
-MAX_FRAMES = 5_000_000  # of a record
-MAX_NUMBERS_PER_FRAME = 100  # of the range of a record
+MAX_FRAMES = 5_000_000  # frames of a record; more are a damaged header
+MAX_NUMBERS_PER_FRAME = 100  # range of frame numbers over the number of frames; more is a mistake
 FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 
@@ -79,7 +79,7 @@ def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbe
         kind: Kind = "file"
         count = 1  # a gap, or a listed file that does not exist, keeps its place
         if path is not None and path.exists():
-            if path.suffix.lower() not in SINGLE_IMAGE_ENDINGS:  # no need to open each of these
+            if path.suffix.lower() not in SINGLE_IMAGE_ENDINGS:  # others may have several images
                 kind, count = _count_images(path, camera)
             out |= {number + i: FrameEntry(kind, str(path), i) for i in range(count)}
         number += count
@@ -180,7 +180,7 @@ def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tupl
     ExperimentError if none of five frames can be read.
     """
     present = [entry for entry in entries if entry is not None]
-    # any frame may be of another size than the record: the median of five comes first
+    # a single frame may have another size: start with the median size of five
     five = [present[k] for k in from_first_to_last(len(present), 5)] if present else []
     tried = list(dict.fromkeys([*sorted(five, key=_file_size)[2:3], *five]))
     problem = "there are none in the range of frames"

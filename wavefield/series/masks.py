@@ -14,8 +14,8 @@ from wavefield.rig import Camera, Rig
 from wavefield.series.frames import CameraMask, FrameSeries, Outline
 from wavefield.series.readers import FrameEntry
 
-WATER = "water"  # the key of masks on the water, not in one camera's image
-POINTS_PER_SIDE = 16  # of an edge on the water: it is no straight line in an image
+WATER = "water"  # key of masks on the water; other keys are cameras
+POINTS_PER_SIDE = 16  # points per side of a polygon on the water, which lens distortion bends
 
 
 class MaskSection(ConfigSection):
@@ -27,7 +27,7 @@ class MaskSection(ConfigSection):
         description="corners: column and row in a camera's image, px; x and y on the water, m",
     )
     image: str | None = Field(
-        default=None, examples=['"masks/cam1.png"'], description="what is not black in it is covered"
+        default=None, examples=['"masks/cam1.png"'], description="image whose pixels are masked unless black"
     )
 
     @field_validator("polygon")
@@ -110,7 +110,7 @@ def _refuse_useless(name: str, mask: CameraMask) -> None:
         raise ExperimentError(f"mask of {name}: {error}") from None
     if covered.all():
         raise ExperimentError(
-            f"mask of {name}: it covers the whole image; what is not black is covered, so perhaps invert it"
+            f"mask of {name}: it covers the whole image; what is not black is masked, so perhaps invert it"
         )
 
 

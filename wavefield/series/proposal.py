@@ -9,8 +9,8 @@ from pathlib import Path
 
 from wavefield.errors import ExperimentError
 
-MIN_IMAGES = 3  # of a record
-# words in names of images that are not of waves: targets, and still water
+MIN_IMAGES = 3  # images of a record; fewer are not taken for one
+# words in the names of images of targets or still water, in English, French and German
 _NO_WAVES = re.compile(
     r"calib|kalib|(?<![a-z])cal(?![a-z])|target|board|checker|charuco|tilt|plate|grid|mire|eich"
     r"|rest|still|repos|ruhe|(?<![a-z])(flat|level|plan|flach)(?![a-z])",
@@ -22,14 +22,14 @@ IMAGE_ENDINGS = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 _NOTE = """\
 # Proposed from the images in {folder}; check every line, then run `wavefield check`.
 name: {name}
-frame_rate:                   # TO FILL IN: Hz, such as 20.0; image files do not state it
+frame_rate:                   # TO FILL IN: Hz, such as 20.0; image files do not contain it
 cameras:                      # offset: the first image is frame 0, if all cameras began together
 {cameras}
 {others}# calibration:                # images of a target, which `wavefield calibrate` turns into rig.yaml
 #   target: {{kind: chessboard, mesh: 0.03, shape: [9, 6]}}
 #   tilted: "calib/{{camera}}/tilt_*.tif"
 #   flat: "calib/{{camera}}/flat.tif"
-# rig: rig.yaml               # in place of a calibration: a rig that is known
+# rig: rig.yaml               # an existing rig, instead of a calibration
 # rest: "rest/{{camera}}/img_{{frame:05d}}.tif"     # images of still, seeded water level the rig
 grid: auto                    # what all cameras see; or {{x: [..], y: [..], step: ..}} in metres
 water: {{depth: }}              # TO FILL IN: metres, such as 0.70; none in deep water

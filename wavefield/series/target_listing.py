@@ -1,4 +1,4 @@
-"""Which images show the calibration target, and in which pose."""
+"""Find the images of the calibration target and their poses, from patterns in the experiment file."""
 
 import glob
 import os
@@ -91,14 +91,14 @@ def _images(experiment: Experiment, pattern: str, camera: str) -> Iterator[tuple
     """
     folder = experiment.image_folder
     named = pattern.replace("{camera}", glob.escape(camera))
-    one_each = re.sub(r"\[.[^]]*\]", "?", pattern)  # [0-9] stands for one character
+    one_each = re.sub(r"\[.[^]]*\]", "?", pattern)  # a set such as [0-9] matches one character
     groups = {"*": "(.*?)", "?": "(.)"}
     parts = re.split(r"(\*+|\?)", one_each.replace("{camera}", camera))
     expression = re.compile(
         "".join(groups[part[0]] if part[:1] in groups else re.escape(part) for part in parts)
     )
     *folders, name = one_each.replace("{camera}", "").split("/")
-    # folders with wildcards are a part of the pose, too
+    # folders with wildcards are part of the pose as well
     template = [re.sub(r"\*+", "*", part) for part in (*folders, Path(name).stem) if re.search(r"[*?]", part)]
     words = [word.strip("_- ") for word in template] or [Path(name).stem.strip("_- ")]
     for file in sorted(glob.glob(str(Path(glob.escape(str(folder))) / named))):
