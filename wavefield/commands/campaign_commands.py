@@ -36,7 +36,7 @@ class CommandSource:
         return False
 
     def cubes(self) -> list[tuple[str, Path]]:
-        """Return the name of each chosen run of a catalog, and the path of its cube, which need not exist.
+        """Return the name of each chosen run of a catalog, and the path of its cube; the cube need not exist.
 
         It is the cube of the recipe that was run last, unless the parameters name another recipe.
         """
@@ -122,7 +122,7 @@ def worst(statuses: Sequence[int]) -> int:
 
 
 def with_cube(work: Callable[[Path], int]) -> Callable[[str, Path], int]:
-    """Return `work`, which takes a cube, as a function of the name and cube of a run, as `each` calls it.
+    """Return a function of the name and the cube of a run, as `each` calls it, that calls `work` with the cube.
 
     It raises StoreError if the run has no cube yet.
     """

@@ -160,7 +160,10 @@ def _after(found: Status, measured_now: bool = False) -> str:
 
 
 def _not_done(cube: Path, commands: Sequence[str] = ("analyze", "report")) -> str:
-    """Return the first of `commands` whose result is not next to the cube; "look" if all are there."""
+    """Return the first command in `commands` whose result is not there yet; "look" if all results are there.
+
+    The results of `analyze` and `report` are next to the cube.
+    """
     product = {"analyze": ("waves", ".zarr"), "report": ("report", ".html")}
     return next((name for name in commands if not beside(cube, *product[name]).exists()), "look")
 

@@ -140,7 +140,7 @@ def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, flo
 
 @dataclass
 class Baseline:
-    """Medians of summaries over the first steps, which wavefield compares later steps with."""
+    """Medians of summaries over the first steps. Later steps are compared with them."""
 
     n_steps: int = 4
     _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)

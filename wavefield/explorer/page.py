@@ -65,7 +65,7 @@ _WRAP = {"flex-wrap": "wrap"}
 
 
 class LookPage:
-    """The page of a cube in one browser tab, which opens in the state `place`."""
+    """The page of a cube in one browser tab. It opens in the state `place`."""
 
     def __init__(self, session: LookSession, place: Place) -> None:
         self.session, self.place = session, place
@@ -239,7 +239,7 @@ class LookPage:
             self.pick(x, y)
 
     def pick(self, x: float, y: float) -> None:
-        """Show the node nearest to x, y, metres, which the user picked on the map or in an image."""
+        """Pick the node nearest to x, y, metres, and show it; the user clicked there on the map or in an image."""
         self.place = replace(self.place, node=(x, y))
         self.picked.active = PICKED.index("node")
         self.map.mark(self.place.node)

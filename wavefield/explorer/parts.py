@@ -43,7 +43,7 @@ Value = str | int | tuple[float, ...] | None
 
 @dataclass(frozen=True)
 class Place:
-    """The state of a page, which its link stores as a query such as show=z&step=12&node=0.1,-0.2."""
+    """The state of a page. The link of the page stores it, such as show=z&step=12&node=0.1,-0.2."""
 
     show: str = "w"  # variable of the map
     step: int = 0  # index of the step, from 0

@@ -66,7 +66,7 @@ class Refused(RequestHandler):
 
 
 class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has no types
-    """Bokeh application whose addresses all begin with a secret token, such as ``/TOKEN/ws``.
+    """Bokeh application. All its addresses begin with a secret token, such as ``/TOKEN/ws``.
 
     A cookie would not do: browsers send it to the servers of other users of this machine as well, and do not
     send it when a notebook of another site shows the page in a frame.
@@ -158,7 +158,7 @@ def session_server(session: LookSession, port: int | None = None) -> PageServer:
 
 
 class ServedPage:
-    """A page whose server runs in its own thread, so that a notebook can show the page in a frame.
+    """A page that a notebook can show in a frame, because its server runs in its own thread.
 
     `make` returns the server, and is called in that thread. Errors of `make` are raised here.
     """

@@ -27,7 +27,7 @@ _TERMS = {"nonlinear": "nonlinear term u·∇z", "residual": "residual z_t − w
 
 
 def kinematics_maps(snapshot: xr.Dataset) -> Figure:
-    """Elevation, vertical velocity, nonlinear term and residual at one moment.
+    """Draw maps of elevation, vertical velocity, nonlinear term and residual at one moment.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def kinematics_maps(snapshot: xr.Dataset) -> Figure:
 
 
 def coherence_curves(coherence: xr.Dataset) -> Figure:
-    """Coherence of z_t with w, with -u . grad z, and with their sum.
+    """Draw the coherence of z_t with w, with -u . grad z, and with the sum of both, over wavenumber.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
 
 
 def plane_coherence_maps(plane: xr.Dataset) -> Figure:
-    """Coherence of z_t with w - u . grad z at each wave vector, and curves averaged over the angle.
+    """Draw the coherence of z_t with w - u . grad z at each wave vector, and its mean over the angle.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def plane_coherence_maps(plane: xr.Dataset) -> Figure:
 
 
 def nonlinear_ratio_curves(ratio: xr.Dataset) -> Figure:
-    """Ratio of the nonlinear term to the vertical velocity over wavenumber and frequency.
+    """Draw the ratio of the nonlinear term to the vertical velocity over wavenumber and over frequency.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ def _quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
 
 
 def coverage_map(cube: xr.Dataset) -> Figure:
-    """Maps of the fraction of time in which each node was measured, and in which it was interpolated.
+    """Draw maps of the fraction of time in which each node was measured, and in which it was interpolated.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def coverage_map(cube: xr.Dataset) -> Figure:
 
 
 def fault_history(cube: xr.Dataset) -> Figure:
-    """Fraction of the visible nodes that were measured, filled or rejected at each step, and its status.
+    """Draw over time the fraction of visible nodes that were measured, filled or rejected, and the status.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def fault_history(cube: xr.Dataset) -> Figure:
 
 
 def misfit_maps(cube: xr.Dataset) -> Figure:
-    """Maps of the rms in time of the epipolar error eps_y and of eps', the misfit of displacements.
+    """Draw maps of the rms in time of the epipolar error eps_y and of eps', the misfit of displacements.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def misfit_maps(cube: xr.Dataset) -> Figure:
 
 
 def uncertainty_maps(cube: xr.Dataset) -> Figure:
-    """Maps of the median in time of the standard uncertainties of z, u, v and w.
+    """Draw maps of the median in time of the standard uncertainties of z, u, v and w.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def _largest_std(fields: dict[str, np.ndarray]) -> float:
 
 
 def distributions(cube: xr.Dataset) -> Figure:
-    """Probability densities of z and of the displacements in one step, with Gaussians of the same variance.
+    """Draw the probability densities of z and of the displacements in one step, next to Gaussians.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def distributions(cube: xr.Dataset) -> Figure:
 
 
 def rest_distributions(rest: xr.Dataset, level: float = 0.0) -> Figure:
-    """Probability densities of z and of the displacements in one step for still water.
+    """Draw the probability densities of z and of the displacements in one step for still water.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def rest_distributions(rest: xr.Dataset, level: float = 0.0) -> Figure:
 
 
 def error_distributions(errors: xr.Dataset, pixel: float) -> Figure:
-    """Probability densities of the errors of z and of the displacements of a simulated experiment.
+    """Draw the probability densities of the errors of z and of the displacements in a simulated experiment.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ from wavefield.rig import Rig
 
 
 def rig_views(rig: Rig, grid: Grid) -> Figure:
-    """Drawing of the rig from the side and from above, with the cameras' fields of view.
+    """Draw the rig from the side and from above, with the fields of view of the cameras.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def _rectangle(x: tuple[float, float], y: tuple[float, float]) -> NDArray[np.flo
 
 
 def camera_frames(frames: Mapping[str, np.ndarray], rig: Rig, grid: Grid) -> Figure:
-    """One frame of each camera with the outline of the grid, and an enlarged part that shows the seeding.
+    """Draw a frame of each camera with the outline of the grid, and an enlarged part that shows the seeding.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ MAX_POLYGONS = 70  # along each axis of the 3D view; more take seconds without a
 
 
 def surface_3d(snapshot: xr.Dataset) -> Figure:
-    """Elevation in three dimensions, coloured by the vertical velocity.
+    """Draw the elevation in three dimensions, coloured by the vertical velocity.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def _draw_vectors(axes: Axes, snapshot: xr.Dataset) -> None:
 
 
 def velocity_map(snapshot: xr.Dataset) -> Figure:
-    """Map of the vertical velocity in colour, with arrows of the horizontal velocity.
+    """Draw a map of the vertical velocity, with arrows of the horizontal velocity.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ def _units(name: str) -> str:
 
 
 def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: str = "w") -> Figure:
-    """Spectrum E(k, omega) in colour, with the dispersion relation.
+    """Draw the spectrum E(k, omega) in colour, with the dispersion relation.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
 
 
 def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: str = "w") -> Figure:
-    """Spectrum E(kx, ky) at up to three frequencies, with the circle of the dispersion relation.
+    """Draw the spectrum E(kx, ky) at up to three frequencies, with the circle of the dispersion relation.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def _radius(dispersion: xr.Dataset | None, omega: float) -> float | None:
 
 
 def elevation_spectra(spectra: xr.Dataset) -> Figure:
-    """Frequency spectrum of the elevation by each method: probes, stereo, integrated w, cross, fusion.
+    """Draw the frequency spectrum of the elevation by each method.
 
     Parameters
     ----------
@@ -151,8 +151,9 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
 
     Notes
     -----
-    Corresponds to the temporal spectrum in Aubourg et al. (2019). Lines are thin and pale at frequencies that
-    the store marks as not valid; the band is the 95 % interval of the stereo spectrum.
+    The methods are probes, stereo, integrated w, the cross spectrum of stereo and integrated w, and fusion.
+    Lines are thin and pale at frequencies that the store marks as not valid. The band is the 95 % interval of
+    the stereo spectrum. Corresponds to the temporal spectrum in Aubourg et al. (2019).
     """
     figure, [[ax]] = panels(1, width=7.6, height=4.8)
     frequency = hertz(spectra)
@@ -181,7 +182,7 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
 
 
 def wavenumber_spectra(spectra: xr.Dataset) -> Figure:
-    """Spectra E(k) and E(omega) of z_t, u, v, w and the nonlinear term.
+    """Draw the spectra E(k) and E(omega) of z_t, u, v, w and the nonlinear term u . grad z.
 
     Parameters
     ----------
@@ -208,7 +209,7 @@ def wavenumber_spectra(spectra: xr.Dataset) -> Figure:
 
 
 def dispersion_ridge(dispersion: xr.Dataset) -> Figure:
-    """Measured points of the dispersion relation, and their deviation from linear theory.
+    """Draw measured points of the dispersion relation, and their deviation from linear theory.
 
     Parameters
     ----------
@@ -235,7 +236,7 @@ def dispersion_ridge(dispersion: xr.Dataset) -> Figure:
 
 
 def directions(direction: xr.Dataset) -> Figure:
-    """Directional distribution of the waves at some frequencies, and isotropy over frequency.
+    """Draw the directional distribution of the waves at up to four frequencies, and isotropy over frequency.
 
     Parameters
     ----------
@@ -259,7 +260,7 @@ def directions(direction: xr.Dataset) -> Figure:
 
 
 def probe_series(compared: xr.Dataset) -> Figure:
-    """Elevation over time by wave probes, and by the cameras at the same positions.
+    """Draw the elevation over time by wave probes, and by the cameras at the same positions.
 
     Parameters
     ----------
@@ -301,7 +302,7 @@ def _draw_above(
 
 
 def bicoherence_map(higher_order: xr.Dataset) -> Figure:
-    """Bicoherence and tricoherence where they exceed the level of unrelated waves.
+    """Draw bicoherence and tricoherence where they exceed the level of unrelated waves.
 
     Parameters
     ----------
@@ -324,7 +325,7 @@ def bicoherence_map(higher_order: xr.Dataset) -> Figure:
 
 
 def crest_curves(crests: xr.Dataset) -> Figure:
-    """Fraction of crests and troughs that exceed a level, with the laws of Rayleigh and of Tayfun.
+    """Draw the fraction of crests and of troughs that exceed a level, with the laws of Rayleigh and Tayfun.
 
     Parameters
     ----------
@@ -351,7 +352,7 @@ def crest_curves(crests: xr.Dataset) -> Figure:
 
 
 def flatness_curves(structure: xr.Dataset) -> Figure:
-    """Second-order structure functions and flatness of increments over the lag in time, x and y.
+    """Draw second-order structure functions and the flatness of increments over the lag in time, x and y.
 
     Parameters
     ----------

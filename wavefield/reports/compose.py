@@ -106,7 +106,7 @@ def write_report(
 
 
 def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSection]]:
-    """Return one function per section of the report, in order, which draws it.
+    """Return functions without arguments that draw the sections of the report, in order.
 
     A report on a light sheet has no sections on waves and elevation.
     """

@@ -113,7 +113,7 @@ class Remarks(Item):
 
 @dataclass(frozen=True)
 class Player(Item):
-    """An animation of the surface, which a slider moves to another time."""
+    """An animation of the surface. The reader moves it to another time with a slider."""
 
     data: Mapping[str, str]  # result of `pack`, for the script
     still: Picture  # the surface at one moment, for readers without scripts

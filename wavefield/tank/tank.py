@@ -33,7 +33,7 @@ _NO_FAULT = Fault()
 
 
 class Tank:
-    """The simulated tank of a scene, which renders images and gives the exact fields.
+    """The simulated tank of a scene. It renders images and gives the exact fields.
 
     Parameters
     ----------
