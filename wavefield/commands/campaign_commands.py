@@ -122,7 +122,7 @@ def worst(statuses: Sequence[int]) -> int:
 
 
 def with_cube(work: Callable[[Path], int]) -> Callable[[str, Path], int]:
-    """Return a function of the name and the cube of a run, as `each` calls it, that calls `work` with the cube.
+    """Return `work` in the form that `each` calls: a function of the name and the cube of a run.
 
     It raises StoreError if the run has no cube yet.
     """

@@ -123,7 +123,7 @@ def report(context: click.Context, source: campaign_commands.CommandSource, outp
 @click.option("--rest", type=_FOLDER, help="Cube of still water, from the same cameras.")
 @click.option("-o", "--output", type=FILE, help="HTML file to write.")
 def paper(store: Path, rest: Path | None, output: Path | None) -> None:
-    """Draw the figures of Aubourg et al. (2019) from this cube, and compare its numbers with theirs.
+    """Draw the figures of Aubourg and others (2019) from this cube, and compare the numbers.
 
     Writes one HTML file: a snapshot, distributions, spectra, nonlinear term and coherence, probes, still
     water, differences between pairs of cameras, and a table with the published numbers. Run `wavefield

@@ -239,7 +239,7 @@ class LookPage:
             self.pick(x, y)
 
     def pick(self, x: float, y: float) -> None:
-        """Pick the node nearest to x, y, metres, and show it; the user clicked there on the map or in an image."""
+        """Pick and show the node nearest to x, y, metres, where the user clicked on the map or an image."""
         self.place = replace(self.place, node=(x, y))
         self.picked.active = PICKED.index("node")
         self.map.mark(self.place.node)
