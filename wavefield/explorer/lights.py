@@ -49,10 +49,10 @@ class RelativeLimits:
     """Limits of quantities divided by their medians over the first steps: first doubtful, then bad."""
 
     brightness: float = 0.5  # bad if the light of beads and of background are both below it: a lamp is off
-    cells: Limits = (0.7, 0.4)
-    bead_size: Limits = (1.2, 1.4)
-    matched: Limits = (0.8, 0.6)
-    coverage: Limits = (0.9, 0.7)
+    cells: Limits = (0.7, 0.4)  # fraction of cells with beads
+    bead_size: Limits = (1.2, 1.4)  # standard deviation of the images of beads
+    matched: Limits = (0.8, 0.6)  # fraction of the visible blocks that match
+    coverage: Limits = (0.9, 0.7)  # fraction of the grid's nodes that were measured
 
 
 ARRIVALS = ("arrival", "synchronisation")  # lights about the arrival of frames rather than their content
@@ -142,7 +142,7 @@ def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, flo
 class Baseline:
     """Medians of summaries over the first steps. Later steps are compared with them."""
 
-    n_steps: int = 4
+    n_steps: int = 4  # number of first steps that count
     _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)
 
     def add(self, name: str, values: object) -> None:
@@ -194,10 +194,10 @@ def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -
 
 
 def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> StatusLight:
-    """Return the light of a pair of cameras; it is bad after one of them was moved.
+    """Return the light of a pair of cameras such as "a-b".
 
-    Then the epipolar error is large or few blocks match. `first` are the medians over the first steps, None
-    until they are known.
+    It is doubtful or bad if the epipolar error is large or few blocks match, as after one camera was moved.
+    `first` are the medians over the first steps, None until they are known.
     """
     state = _worse(_state(now.eps_y, LIMITS.eps_y), _state(now.matched, LIMITS.matched))
     if first is not None:
@@ -209,7 +209,7 @@ def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> Status
 def arrival_lights(
     silent: Mapping[str, float], written: Mapping[str, float], newest: Mapping[str, int], frame_rate: float
 ) -> list[StatusLight]:
-    """Return two lights per camera: whether frames still arrive, and whether they come later than elsewhere.
+    """Return two lights per camera: whether frames still arrive, and how much later than those of others.
 
     The mappings are by camera. `silent` is the time since its newest frame was noticed, s. `written` is the
     time at which that frame was written, s since the epoch. `newest` is its number. `frame_rate` is in Hz.

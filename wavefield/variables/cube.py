@@ -13,9 +13,9 @@ class Quality(IntFlag):
     MEASURED = 1  # measured by matching images
     FILLED = 2  # interpolated from neighbouring nodes
     OUTSIDE = 4  # outside the field of view of the cameras
-    REJECTED_CORRELATION = 8
-    REJECTED_EPS = 16
-    REJECTED_NEIGHBOURS = 32
+    REJECTED_CORRELATION = 8  # low correlation between images
+    REJECTED_EPS = 16  # large epipolar error
+    REJECTED_NEIGHBOURS = 32  # outlier among its neighbours
     TWO_FRAME_MEAN = 64  # z at mid-time or the velocity comes from fewer than four frames
     FEWER_CAMERAS = 128  # measured without a camera whose frame is missing or contradicts the others
     MASKED = 256  # covered by a mask: an object, or water hidden behind it
@@ -39,10 +39,10 @@ class Quality(IntFlag):
 class FrameStatus(IntEnum):
     """Values of ``frame_status`` in a cube. They tell for every step whether it was measured."""
 
-    NOT_STARTED = 0
+    NOT_STARTED = 0  # not measured yet
     DONE = 1
-    DONE_WITH_FAULTS = 2
-    FAILED = 3
+    DONE_WITH_FAULTS = 2  # measured, but a camera's frame is missing or few nodes are valid
+    FAILED = 3  # could not be measured; no values
     DISCONTINUOUS = 4  # no values: a frame of this step or next to it was lost, doubled or late
 
 
