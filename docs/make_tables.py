@@ -53,7 +53,7 @@ STATUS = {
 
 def rows_to_table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     """A Markdown table."""
-    first, *lines = ("| " + " | ".join(line) + " |" for line in (head, *rows))
+    first, *lines = ("|" + "|".join(line) + "|" for line in (head, *rows))
     return "\n".join([first, "|---" * len(head) + "|", *lines])
 
 
@@ -89,7 +89,8 @@ def cube() -> str:
         tuple(f"gain/gain_{name}" for name in "zuvw"),
     )
     rows = [_line([TABLE[name] for name in names], usual=CUBE_DIMS) for names in lines]
-    return "\n".join(f"- {name}: {meaning}" + (unit and f" ({unit})") for name, unit, meaning in rows)
+    lines = [(name, meaning + (unit and f" ({unit})")) for name, unit, meaning in rows]
+    return rows_to_table(("variable", "meaning (units)"), lines)
 
 
 def flags(meanings: dict, name: str) -> str:
@@ -116,8 +117,9 @@ def waves() -> str:
                 continue  # the page explains them once
             if any(row.meaning for row in rows) or (group == "spectra" and not name.startswith("valid")):
                 variable, unit, meaning = _line(rows, name)
-                lines.append(f"- {variable}: {meaning}" + (unit and f" ({unit})"))
-        parts.append("\n".join([f"## `/{group}`\n\n{words}\n", *lines, ""]))
+                lines.append((variable, meaning + (unit and f" ({unit})")))
+        table = rows_to_table(("variable", "meaning (units)"), lines) + "\n" if lines else ""
+        parts.append(f"## `/{group}`\n\n{words}\n\n{table}")
     return "\n".join(parts)
 
 
@@ -225,18 +227,17 @@ def settings(kind: type, *presets: object) -> list[Row]:
     return rows
 
 
-def key_list(rows: list[Row]) -> str:
-    """A list of keys, with choices and default in brackets."""
-    return "\n".join(
-        f"- {key}" + (value and f" ({value})") + (meaning and f": {meaning}") for key, value, meaning in rows
-    )
+def key_table(rows: list[Row]) -> str:
+    """A table of keys, with choices and default in brackets."""
+    lines = [(f"{key} ({value})" if value else key, meaning) for key, value, meaning in rows]
+    return rows_to_table(("key", "meaning"), lines)
 
 
 def settings_table() -> str:
     """Settings of the measurement."""
     from wavefield.measurement import Settings
 
-    return key_list(settings(Settings))
+    return key_table(settings(Settings))
 
 
 def matching_table() -> str:
@@ -244,7 +245,7 @@ def matching_table() -> str:
     from wavefield.matching import MatchSettings
     from wavefield.measurement import Settings
 
-    return key_list(settings(MatchSettings, Settings().stereo, Settings().piv))
+    return key_table(settings(MatchSettings, Settings().stereo, Settings().piv))
 
 
 def experiment() -> str:
@@ -252,21 +253,21 @@ def experiment() -> str:
     from wavefield.series.experiment import Experiment
 
     page = (ROOT / "docs" / "experiment-file.md").read_text(encoding="utf-8")
-    return key_list(keys(Experiment, shown=page.partition("## Keys")[0]))
+    return key_table(keys(Experiment, shown=page.partition("## Keys")[0]))
 
 
 def workflow() -> str:
     """Keys of a workflow file."""
     from wavefield.execution.workflow import Workflow
 
-    return key_list(keys(Workflow))
+    return key_table(keys(Workflow))
 
 
 def target() -> str:
     """Keys of a calibration target."""
     from wavefield.calibration import Target
 
-    return key_list(settings(Target))
+    return key_table(settings(Target))
 
 
 def rooms() -> str:
