@@ -58,7 +58,10 @@ class _CompiledFiles:
         self._sources = _digest_of_sources(Path(loop.__code__.co_filename).parent)
 
     def save(self, key: object, data: object) -> None:
-        """Write compiled code (`data`) for numba's `key`, its types and processor; a full disk is ignored."""
+        """Write compiled code (`data`) to the file of numba's `key` (argument types and processor).
+
+        If the disk cannot be written, do nothing.
+        """
         content = serialize.dumps((self._identity(key), data))
         path = self._path(key)
         new = path.with_name(f"{path.name}.tmp.{uuid.uuid4().hex[:16]}")

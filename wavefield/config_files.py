@@ -393,7 +393,10 @@ def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any]
 
 
 def _is_branch(step: Key, annotations: Sequence[object]) -> bool:
-    """Whether a step of a location is pydantic's name of a type in a union: "str", "GridSection"."""
+    """Whether an item of a pydantic error's location is no key of the file, but names a type in a union.
+
+    Examples are "str" and "GridSection". `annotations` are the types that are possible there.
+    """
     if not isinstance(step, str):
         return False
     classes = [getattr(member, "__name__", "") for member in annotations]

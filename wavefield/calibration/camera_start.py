@@ -227,7 +227,10 @@ MAX_SHIFT = 0.4  # meshes between the same; counting from a wrong node shifts th
 
 @dataclass(frozen=True)
 class PoseConsistency:
-    """Cameras and views that found the target in another pose than the other cameras."""
+    """Views and cameras that found the target in another pose than the others.
+
+    `unlinked` are cameras that share no pose with another.
+    """
 
     wrong_views: list[tuple[str, str]]  # (camera, pose) of single views that differ from all others
     wrong_cameras: list[str]  # Cameras outside the largest group of consistent ones

@@ -220,7 +220,11 @@ def jackknife_std(
 def _correlated_groups(
     fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArray[np.intp]]
 ) -> float:
-    """Number of successive groups of instants with correlated waves, at least 1, from mean elevations."""
+    """Number F of successive groups that show correlated waves, at least 1.
+
+    A mean over n groups varies like one over n / F. F follows from the correlation between groups of the mean
+    elevations in cells of the image.
+    """
     count = len(groups)
     products, squares = np.zeros(count), np.zeros(count)
     number = np.concatenate([np.full(len(part), n) for n, part in enumerate(groups)])

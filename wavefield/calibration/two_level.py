@@ -240,7 +240,10 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
 
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
-    """Candidate mesh vectors at dot k: pairs that repeat around it, smallest cells first, px."""
+    """Candidate pairs of mesh vectors at dot k, px: dots exist at their opposites and at their sum as well.
+
+    Pairs that span the smallest cells come first.
+    """
     _, near = tree.query(centre[k], min(22, len(centre)))
     vectors = centre[near[1:]] - centre[k]
     ends = cKDTree(vectors)

@@ -208,8 +208,10 @@ def _map_here(work: Work, items: Sequence[Any]) -> Results:
 
 
 def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Sequence[Any]) -> Results:
-    """Yield each item with its result or exception, as Dask's workers finish; StoreError without a scheduler.
+    """Yield each item with its result or exception, as Dask's workers finish.
+
     At most two items for each of `workers` are submitted at a time; `watch(client)` is called in between.
+    Raises StoreError if the scheduler is lost.
     """
     from distributed import CancelledError, wait
 

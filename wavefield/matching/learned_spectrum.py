@@ -60,20 +60,21 @@ def refined_prior(
     information: float,
     noise_alone: Sequence[tuple[Float, float]] = (),
 ) -> Prior:
-    """Prior with the spectrum of the MAP fields that a previous prior gave of sample frames.
+    """Prior with the spectrum of the MAP fields that `prior` gave in sample frames.
 
-    `waves` are their cosine coefficients (c, my, mx). For a mode with spectrum S and noise N = 1 / (F^2 A), a
-    MAP field has the gain G = S / (S + N), so its power is G^2 (S + N). The mean over the modes of a ring, or
-    of a sector of it, gives S = sum(|D|^2 - G^2 N) / sum G^2, with the coefficients D.
+    `waves` are the fields' cosine coefficients D (c, my, mx). For a mode with spectrum S and noise
+    N = 1 / (F^2 A), with F the footprint of a block and A its information, a MAP field has the gain
+    G = S / (S + N), so its power is G^2 (S + N). The mean over the modes of a ring (a bin of wavenumber), or
+    of a sector of it, gives S = sum(|D|^2 - G^2 N) / sum G^2.
 
     A spectrum may have gaps and several peaks. In rings that are not significant, S is the upper limit of the
     waves that could be there undetected. Beyond the last significant ring S is a power law, at most this
     limit, with constant directions. Directions are averaged over neighbouring rings, and sectors with few
     modes are drawn towards the mean of their ring.
 
-    `noise_alone` holds fields without waves that the previous prior gave, each with its information. They
-    show how the noise varies from ring to ring. Its level comes from the ring with the smallest ratio of
-    power to expected noise.
+    Each item of `noise_alone` is the MAP field of noise without waves, as coefficients, with its information.
+    These fields give the shape of the noise over the rings. The level of the noise comes from the ring with
+    the smallest ratio of power to expected noise.
     """
     if not information > 0:  # no block has information
         return prior

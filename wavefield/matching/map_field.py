@@ -381,7 +381,10 @@ def multiply(a: Float, quarters: Float) -> None:
 
 @reassociating
 def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
-    """Values at four mirror-image positions from the four even and odd parts, or the reverse times 4."""
+    """Values at four mirror-image positions, from the parts that are even (e) or odd (o) along y and x.
+
+    Given the four values instead, it returns the four parts times 4.
+    """
     p, q, r, s = ee + oe, eo + oo, ee - oe, eo - oo
     return p + q, p - q, r + s, r - s
 

@@ -91,7 +91,7 @@ def _clusters(field: Float) -> Float:
 
 
 def _smoothed(field: Float) -> Float:
-    """Smooth a field (ny, nx); returns half the number of rows and columns."""
+    """Smooth a field (ny, nx) with a Gaussian of 6 blocks; the result has half as many rows and columns."""
     ny, nx = field.shape  # clusters around neighbouring blocks overlap, so every second one suffices
     half = cv2.resize(field, ((nx + 1) // 2, (ny + 1) // 2), interpolation=cv2.INTER_AREA)
     return cv2.GaussianBlur(half, (0, 0), 0.5 * SMOOTHING_RADIUS, borderType=cv2.BORDER_REFLECT)

@@ -158,7 +158,7 @@ def _start(a: Level, b: Level, levels: int, settings: MatchSettings) -> tuple[np
 
 
 class _LevelPair:
-    """Two images on one pyramid level: weights of the blocks and the steps of the match."""
+    """Two images on one pyramid level: holds the weights of their blocks and takes the Gauss-Newton steps."""
 
     def __init__(self, a: Level, b: Level, sigma: float, settings: MatchSettings) -> None:
         self.a, self.b, self.sigma, self.settings = a, b, sigma, settings

@@ -155,10 +155,10 @@ def lost_by_elevation(waves: WaveRings, frames: int, times: Float = EVEN_TIMES) 
 
 
 def lost_by_paths(waves: WaveRings, path_frames: int, times: Float = EVEN_TIMES) -> float:
-    """Variance of the rise per step, m^2, lost by differentiating between frames, plus that of `orbits`.
+    """Variance of the rise per step, m^2, lost by differences between frames, plus `orbits`.
 
-    It is sum S |i p - sum w_t exp(i p t)|^2, with S the variance of a wave, p its phase per frame, and w_t
-    the weight of the frame at time t, in frames.
+    The first part is sum S |i p - sum w_t exp(i p t)|^2, with S the variance of a wave, p its phase per
+    frame, and w_t the weight in the derivative of the frame at t frame intervals from mid-time.
     """
     _, weights = frame_weights(times, FRAMES_OF_Z[frames_of_path(path_frames)], path_frames == 6)
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights

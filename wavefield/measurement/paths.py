@@ -49,7 +49,10 @@ def elevation_gain(phase: Float, frames: int) -> Float:
 
 
 def path_gain(phase: Float, frames: int) -> Float:
-    """Gain of velocities by the kind of paths `path_frames`, for a wave of this phase per step, rad."""
+    """Gain of velocities for a wave whose phase turns by `phase`, rad, per step.
+
+    `frames` is a value of the variable `path_frames`: 2, 4, 6, or 7 for six frames with exact weights.
+    """
     own, *neighbours = PATH_WEIGHTS[frames]
     path = own + 2.0 * sum(w * np.cos(n * phase) for n, w in enumerate(neighbours, 1))
     return np.asarray(np.sinc(phase / (2.0 * np.pi)) * path)

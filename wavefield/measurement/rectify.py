@@ -123,7 +123,10 @@ def _in(y: Any, h: int) -> Any:
 
 @compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def _bin(image: NDArray[Any], weights: NDArray[Any], count: int, half: np.float32, out: NDArray[Any]) -> None:
-    """Write weighted sums at every count-th row and column; the edge is repeated outwards."""
+    """Write weighted sums around every square of count x count pixels; the edge is repeated outwards.
+
+    `weights` (3 count,) apply along each axis; `half` is 0.5 to round to integers, 0 for floats.
+    """
     h, w = image.shape
     reach, wide = np.int64(count), np.int64(out.shape[1])
     line = np.empty(w + 2 * reach, np.float32)

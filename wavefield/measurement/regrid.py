@@ -234,9 +234,10 @@ def read_surface(
 def blocks_below(
     lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Number of the block nearest to the apparent position of x, y, z (ny, nx), and whether it is inside.
+    """Flat index of the block nearest to the apparent position of x, y, z, and whether it lies inside.
 
-    x, y, z are in metres; `centre` (3,) is that of the camera.
+    x, y, z (ny, nx) are in metres; `centre` (3,) is the camera's. Inside means inside the lattice. Blocks at
+    its edge are never returned. Both results are (ny, nx).
     """
     shrink = 1.0 / (1.0 - z / centre[2])
     row, column = (

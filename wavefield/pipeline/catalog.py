@@ -331,7 +331,7 @@ def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
 
 
 def _quoted(text: str) -> str:
-    """Quote a text that YAML would read as a number or a boolean, such as the hash 795126e3."""
+    """Quote a text unless it is a plain word that YAML reads as text; the hash 795126e3 would be a number."""
     quoted: str = SingleQuotedScalarString(text)
     try:
         float(text)

@@ -83,10 +83,10 @@ def reconstruct(
 ) -> xr.Dataset:
     """Turn image series into a lazy cube of elevation and velocity.
 
-    Images are read when values are requested. The first request also learns the record from four sample steps
-    of the whole series, which is kept with the cube. A request for one step computes its whole chunk: to look
-    at single steps, choose a small ``steps_per_block``. To process an experiment into a store that survives
-    interruptions, use `wavefield.pipeline.run`.
+    Images are read when values are requested. The first request also learns bead widths, wave spectra and
+    noise from four sample steps of the whole series, and keeps them with the cube. A request for one step
+    computes its whole chunk: to look at single steps, choose a small ``steps_per_block``. To process an
+    experiment into a store that survives interruptions, use `wavefield.pipeline.run`.
 
     Parameters
     ----------
@@ -106,8 +106,8 @@ def reconstruct(
     steps_per_block : int
         Number of steps of a chunk. It does not change the values.
     record : mapping, optional
-        The record learned for an earlier cube, ``cube.wavefield.recipe["record"]``: a part of its frames then
-        gives the same values as in that cube. By default it is learned from these frames.
+        What was learned for an earlier cube (bead widths, spectra, noise):
+        ``cube.wavefield.recipe["record"]``. A part of that cube's frames then gives the same values as there.
 
     Returns
     -------

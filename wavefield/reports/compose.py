@@ -46,8 +46,8 @@ def report(
     Raises
     ------
     StoreError
-        If the cube does not exist or has no measured step, or if the file cannot be written: `output` may be
-        something else than an earlier report.
+        If the cube does not exist or has no measured step, or if the file cannot be written, for example
+        because `output` exists and is not an earlier report.
 
     Examples
     --------

@@ -365,7 +365,7 @@ class Basin:
     def snapshot(self, time: float, names: Sequence[str] = ("z",)) -> "Snapshot":
         """Return the fields `names` at a time, s, as a function of x and y.
 
-        The names are of z, z_x, z_y, z_t, u, v. w is not a sum of waves, but z_t + u z_x + v z_y.
+        Possible names: z, z_x, z_y, z_t, u, v. Compute w as z_t + u z_x + v z_y; it is not a sum of waves.
         """
         return self._recent(round(time, 12), tuple(names))
 

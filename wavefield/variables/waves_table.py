@@ -156,13 +156,22 @@ for _ending, _dims in (("", ("k",)), ("_komega", ("omega", "k"))):
     rows(
         "coherence",
         ("term", *_dims),
-        (f"C{_ending}", "1", "coherence of z_t with the term, common normalisation", _common),
+        (
+            f"C{_ending}",
+            "1",
+            "complex coherence of z_t + U . grad z with the term, with one normalisation for all terms",
+            _common,
+        ),
         dtype="complex128",
         family="C",
     )
     for _name, _text, _note in (
         ("gamma2", "coherence of z_t with the term, magnitude squared", ""),
-        ("samples", "effective independent samples", "fewer if both signals share a few cells (k, omega)"),
+        (
+            "samples",
+            "effective independent samples",
+            "small where both signals have their energy in the same few wave vectors of a ring",
+        ),
         ("level", "gamma2 that unrelated signals exceed in 5 % of cases", ""),
     ):
         rows("coherence", ("term", *_dims), (f"{_name}{_ending}", "1", _text, _note), family=_name)

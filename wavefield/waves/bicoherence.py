@@ -96,7 +96,10 @@ SAMPLES = 4000  # largest number of segments times points, for the cost; further
 
 
 def _level_of_one(surrogates: list[np.ndarray]) -> np.ndarray:
-    """Coherence that surrogates exceed in 5 % of cases; the mean of their squares is 1 / N."""
+    """Level that the bicoherence of one pair of lines exceeds in 5 % of cases without coupling, (n, n).
+
+    The number N of independent samples follows from the surrogates: the mean of their squares is 1 / N.
+    """
     mean = np.mean(np.square(surrogates), axis=0)
     return np.asarray(np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9))))
 

@@ -41,7 +41,7 @@ def extremes(series: Array) -> tuple[Array, Array, Array]:
 
 
 def _series(field: xr.DataArray, record: Record) -> list[Array]:
-    """Elevations (time, points) of each run, at points 8 cm apart."""
+    """Elevations (time, points) in each uninterrupted run of steps, at points about 8 cm apart."""
     read = Reader([field], record)
     apart_y, apart_x = (max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx))
     runs = []

@@ -174,7 +174,11 @@ def _add_products(
     table: Rings,
     quadrature: Sequence[Array],
 ) -> None:
-    """Add the cross product of two quantities in some cells to the sums over rings and over single cells."""
+    """Add the cross spectrum of a pair of quantities in one segment to `sums`.
+
+    `lines` are the transforms at the cells (kx, ky) of a `slab`, `quadrature` the factors from `_quadrature`.
+    Sums over rings always exist; sums of single cells exist only if a map was requested.
+    """
     first, second, name = lines[pair[0]], lines[pair[1]], "*".join(pair)
     start = table.start[slab.start : slab.stop + 1]
     kernels.ring_cross_spectra(first, second, start, table.ring, table.weight, sums[name])

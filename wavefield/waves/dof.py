@@ -303,7 +303,10 @@ def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
 
 
 def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
-    """Variance of a mean over segments relative to independent ones, of cells (rings, lines) and of sums."""
+    """Factors (rings, lines) by which correlation between segments raises the variance of a mean over them.
+
+    The first is for single cells, the second for each cell as a part of a sum over k or over omega.
+    """
     white = overlap_factor(welch.count)
     line = expected_segment_correlation(power, welch.count)
     crossing = white + (crossing_correlation(welch)[:, None] - white).clip(0) * wave_share(power) ** 2

@@ -50,7 +50,10 @@ def segment_count(steps: int, segment: int) -> int:
 
 
 def choose_segment(steps: int) -> int:
-    """Default length of a segment: even, a fast FFT length and at most about a quarter of the record."""
+    """Default length of a segment, steps: a quarter of the record, rounded down to an even, fast FFT length.
+
+    It is at most 512 steps, and at least 64 or the whole record.
+    """
     longest = min(DEFAULT_SEGMENT, max(steps // 4, min(64, steps)))
     even = longest - longest % 2
     while even > 4 and fft.next_fast_len(even // 2, real=True) != even // 2:
@@ -322,7 +325,7 @@ def k_coords(k: Array) -> Coordinates:
 
 @dataclass(frozen=True)
 class Welch:
-    """Welch's estimator for one record: its segments, its lines in time and the rings of its k plane."""
+    """Welch's estimator for one record: its segments, its frequencies and its rings of wavenumber |k|."""
 
     record: Record  # rectangle and runs
     segment: int  # steps of a segment
@@ -499,7 +502,11 @@ def frames_of_meaning(*stated: str) -> int:
 
 
 def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
-    """Cube with the meaning of its velocities, and a note if neither the cube nor the argument states it."""
+    """Return the cube with what its velocities are, and a note.
+
+    `meaning` is "displacement" or "instantaneous"; it is stored as `path_frames`. The note is empty unless
+    neither the cube nor `meaning` states it. CubeError if they contradict each other.
+    """
     cube = with_stated(cube)
     arrays = [cube[name] for name in ("u", "v", "w") if name in cube]
     stated = "path_frames" in cube.coords or any(

@@ -75,7 +75,7 @@ class Video:
         self._frames, self._next = self._decoded(), 0
 
     def _seconds(self) -> Times:
-        """Return the times of the frames after the first frame, (count,), s."""
+        """Return the time of each frame since the first one, (count,), s."""
         base = self._stream.time_base
         return np.array(self._stamps, float) * float(base or 1.0) - self._stamps[0] * float(base or 1.0)
 
