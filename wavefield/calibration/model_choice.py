@@ -67,7 +67,7 @@ def project_points(observations: Observations, result: Fit, points: Array) -> tu
 def volume_points(o: Observations, result: Fit, level: bool) -> Array:
     """Points (n, 3), metres, that fill the volume where the rig will be used.
     They are within `HEIGHT` of z = 0 over the field that all cameras see, or over the target if there is no
-    such field. If z = 0 is unknown, they are positions of the target's nodes.
+    such field. If z = 0 is unknown (`level` is false), they are positions of the target's nodes.
     """
     g = result.geometry
     if not level:

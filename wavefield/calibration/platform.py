@@ -185,8 +185,10 @@ def fit_platform(
 def jackknife_std(
     fit: PlatformFit, matches: Sequence[Instant], horizons: Mapping[str, Array], distance: float | None
 ) -> tuple[float, float]:
-    """Standard uncertainties of the tilt, degrees, and of the height, m, by a jackknife over instants.
-    They are NaN if all instants show the same waves; with a horizon, that of the tilt is then the horizon's.
+    """Standard uncertainties of the tilt (degrees) and the height (m); arguments as in `fit_platform`.
+
+    They come from a jackknife over groups of successive instants. If all groups show the same waves, that of
+    the height is NaN; that of the tilt is the error of the horizon, or NaN without a horizon.
     """
     # leave out successive instants together, because they show the same waves
     groups = np.array_split(np.arange(len(matches)), min(GROUPS, len(matches)))

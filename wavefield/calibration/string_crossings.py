@@ -91,9 +91,12 @@ def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: flo
 def _rows(
     pixels: Array, p: Array, blur: float, variance: Pair, spread: float, free: int, misses: Array, rows: Array
 ) -> float:
-    """Fill the weighted equations of all pixels, and return the number of pixels with a weight.
-    rows (13, n): derivatives by the first `free` parameters, the linear ones first; the last row holds the
-    residuals. misses (2, n): unweighted residuals in grey, and their size in standard deviations.
+    """Write the weighted least-squares equations of all pixels; return the number of pixels with a weight.
+
+    `variance` (a, b) is the noise a + b model of a pixel, `blur` the standard deviation of the lens'
+    Gaussian, px. Residuals beyond `spread` standard deviations have no weight (Tukey). rows (13, n):
+    derivatives by the first `free` parameters, the linear ones first; the last row holds the residuals.
+    misses (2, n): residual in grey without weight, and its absolute value in standard deviations.
     """
     c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
     count = 0.0

@@ -364,7 +364,7 @@ class LookPage:
     # -- the head --------------------------------------------------------------------------------------
 
     def _show_head(self) -> None:
-        """Show how many steps are measured, how much of the thinned cube is read, and errors."""
+        """Show how many steps are measured, how much of the preview for series is read, and errors."""
         record, preview = self.session.record, self.session.record.preview
         done, steps = record.steps_done, record.layout.steps
         words = f"{steps} steps at {record.frame_rate:g} Hz, {spell_time(steps / record.frame_rate)}"

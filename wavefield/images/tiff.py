@@ -117,7 +117,7 @@ def refuse_page(page: Any, name: str) -> None:
 
 
 def _words(code: Any) -> str:
-    """Return the name of a TIFF tag's code, or the code as text."""
+    """Return the name of a tag's value, such as a kind of compression; without a name, the value as text."""
     return getattr(code, "name", str(code))
 
 

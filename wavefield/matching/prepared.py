@@ -302,7 +302,10 @@ def _add_masked_row(
 
 @njit
 def _cell_sums(image: np.ndarray, usable: np.ndarray, side: int, rows: np.ndarray, out: np.ndarray) -> None:
-    """Write sums of pixels and of squares over each cell to out (2, ny, nx); rows (3, >= w) is scratch."""
+    """Write the sums of pixels and of their squares over each cell of `side` x `side` px to out (2, ny, nx).
+
+    rows (3, >= w) is work space; rows[2] returns the largest pixel of each column.
+    """
     h, w = image.shape
     ny = out.shape[1]
     s, t, top = rows[0], rows[1], rows[2]

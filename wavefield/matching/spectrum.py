@@ -115,7 +115,7 @@ class Prior:
         return replace(self, power=power)
 
     def spectrum(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Spectrum at wavenumbers kx, ky, rad per block, which broadcast to a shape S: (1 or c,) + S."""
+        """Spectrum of each component at wavenumbers kx, ky (rad per block); components come first."""
         table = np.log(np.maximum(self.power, 1e-30))  # a field without motion has power 0
         directions = table.shape[1]
         at = np.interp(np.hypot(kx, ky), self.k, np.arange(len(self.k)))
@@ -132,17 +132,17 @@ class Prior:
         return np.asarray(np.exp(out))
 
     def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Fraction of `spectrum` that is expected to be waves, (1 or c,) + S; below 1 for upper limits."""
+        """Fraction of `spectrum` that is expected to be waves; below 1 where it is an upper limit."""
         detected = np.array(self.detected or [[True] * len(self.k)])
         fraction = self.wave_fraction * np.where(detected, 1.0, self.undetected_fraction)
         return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in fraction])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Signal-to-noise ratio F^2 A S of a mode, with the typical information A: (1 or c,) + S."""
+        """Signal-to-noise ratio F^2 A S of each component, with the typical information A."""
         return np.asarray(self.footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
 
     def gain(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Amplitude gain of the MAP field for a wave, F^2 A S / (F^2 A S + 1): (1 or c,) + S."""
+        """Amplitude gain of the MAP field for a wave, F^2 A S / (F^2 A S + 1), of each component."""
         ratio = self.signal_to_noise(kx, ky)
         return np.asarray(ratio / (ratio + 1.0))
 

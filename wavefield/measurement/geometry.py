@@ -96,7 +96,10 @@ _LENS_BLUR_PX = 0.6  # standard deviation of the blur of a usual lens
 
 @dataclass(frozen=True)
 class RectifiedPlane:
-    """Pixels of the rectified images on z = 0, in apparent positions of the reference."""
+    """Pixel grid of the rectified images on the plane z = 0.
+
+    The x, y of a pixel is where the sight line of the reference camera meets the plane.
+    """
 
     origin: tuple[float, float]  # x, y of the first pixel, metres
     pixel: float  # side of a pixel, metres

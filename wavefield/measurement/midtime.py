@@ -134,7 +134,7 @@ def rise_of_water(
 
 
 def slope(z: Float, step: float, axis: int) -> Float:
-    """Slope of z (ny, nx) along an axis, by the differences of `wavefield.waves.motion.slopes`."""
+    """Slope of z (ny, nx) along an axis: central differences of sixth order, of lower order at the edges."""
     out: Float = np.moveaxis(np.gradient(z, step, axis=axis, edge_order=2), axis, 0)
     rows = np.moveaxis(z, axis, 0)
     for reach, weights in ((2, (8, -1)), (3, (45, -9, 1))):

@@ -136,7 +136,7 @@ def elevation_model(geometry: GridGeometry, prior: Prior, beads: Mapping[str, fl
 
 
 def displacement_model(geometry: GridGeometry, camera: str, prior: Prior) -> FieldModel:
-    """Estimator of the displacement of one camera, px of its binned image."""
+    """Estimator of the displacement between frames in the images of one camera, px of its binned image."""
     return FieldModel(prior, geometry.sights[camera].lattice.shape)
 
 

@@ -157,7 +157,10 @@ _LOOSE = {"contract", "reassoc"}
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, int]:
-    """Both components at the block nearest to x, y (in blocks), and the number of that block."""
+    """Spline coefficients of both components at the block nearest to x, y (in blocks): a first guess.
+
+    Also returns the flat number of that block. The outermost blocks are left out.
+    """
     i = np.int64(min(F(nx) - F(2), max(F(1), x + F(0.5))))  # max(1, NaN) is 1
     j = np.int64(min(F(ny) - F(2), max(F(1), y + F(0.5))))
     n: Any = j * nx + i

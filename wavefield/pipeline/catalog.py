@@ -283,7 +283,10 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
 
 
 def _new_cube(catalog: Path, run: str, recipe: str) -> Path:
-    """Path of the cube of a run and recipe; adds the recipe to the catalog's options."""
+    """Return the path of the cube of a run and a recipe (its hash).
+
+    Also adds the hash to the values that the parameter `recipe` of the catalog may have.
+    """
     with _editing(catalog) as data:
         options = _options(catalog, data, "recipe")
         if recipe not in options:

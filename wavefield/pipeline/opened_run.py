@@ -130,7 +130,10 @@ def _sum(image: np.ndarray) -> int:
 def check_images(
     store: str, begun: Mapping[str, Mapping[str, int]], series: Mapping[str, FrameSeries]
 ) -> None:
-    """Refuse images that differ from those with which the run of a cube began."""
+    """Raise StoreError if images differ from those with which the run of a cube began.
+
+    `begun` has their checksums by camera and index of the frame. Images that cannot be read are skipped.
+    """
     for name, sums in begun.items():
         for index, expected in sums.items():
             frames = series.get(name)

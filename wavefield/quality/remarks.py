@@ -106,7 +106,7 @@ def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) ->
 def remark_on_unresolved_waves(
     fraction: float, wavelength: float, reason: str, remedy: str
 ) -> Iterator[Remark]:
-    """Report unresolved waves up to a wavelength (m), with their fraction of the variance of w."""
+    """Report unresolved waves up to a wavelength (m) if their `fraction` of the variance of w is large."""
     if fraction > MAX_LOST:
         yield Remark(
             "surface",

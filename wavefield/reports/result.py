@@ -141,9 +141,10 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
 
 
 def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str]) -> list[tuple[str, str]]:
-    """Return a row with the fraction of visible nodes measured without each camera; empty if all had all.
+    """Return one table row: for each camera, the percentage of visible nodes measured without it.
 
-    `quality` is (time, y, x); `n_in_view` is the number of its values at visible nodes.
+    There is no row if every camera took part everywhere. `quality` is (time, y, x); `n_in_view` is the number
+    of its values at visible nodes.
     """
     shares = []
     for index, camera in enumerate(cameras):

@@ -23,7 +23,7 @@ MAX_TURN = 0.2  # largest phase change that a particle sees in a sub-step, rad
 
 @dataclass(frozen=True)
 class SheetFlow:
-    """A steady random flow, free of divergence, periodic in x and y, and the same across the sheet."""
+    """A steady random flow, free of divergence, periodic in x and y, and uniform through the sheet."""
 
     k: Array  # (n, 2): Wave vectors, rad/m
     along: Complex  # (n,): Amplitudes of the velocity in the plane, perpendicular to k, m/s

@@ -64,7 +64,7 @@ class SheetRig(Part):
         default=35.0, description="angle of the outer cameras from the vertical, degrees"
     )
     distance: Positive = Field(default=1.0, description="distance from the middle of the sheet, m")
-    pixel: Positive = Field(default=2e-4, description="size of a pixel in the vertical view, m")
+    pixel: Positive = Field(default=2e-4, description="size of a pixel on the sheet, m")
     size: tuple[int, int] = Field(default=(800, 600), description="width and height of the images, px")
 
     def build(self) -> Rig:

@@ -206,7 +206,7 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
 
 
 def _write_probes(path: Path, scene: Scene, sea: Sea) -> None:
-    """Write the elevation at the scene's probes, with noise, as CSV: a column of s, and columns of m."""
+    """Write the elevation at the scene's probes, with noise, as CSV: times, s, and a column, m, per probe."""
     settings = scene.probes
     times = np.arange(int(scene.frames / scene.frame_rate * settings.rate) + 1) / settings.rate
     x, y = np.array(list(settings.positions.values()), float).T
@@ -244,9 +244,10 @@ def _describe_target(scene: Scene) -> dict[str, object]:
 
 
 def _pairing(tank: Tank) -> dict[str, object]:
-    """Return the pairs of cameras for the experiment file: the most upright camera with each other one.
+    """Return the blocks `surface` and `velocity` of the experiment file, which name cameras.
 
-    The other cameras measure the velocity if there are several; with one camera there are no pairs.
+    The most upright camera forms a pair with every other camera. These other cameras measure the velocity;
+    with two cameras, both do. With one camera the result is empty.
     """
     names = list(tank.rig)
     if len(names) < 2:

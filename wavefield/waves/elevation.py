@@ -121,7 +121,10 @@ LEARNED_WITHIN = 1.5  # chosen: a predicted signal-to-noise ratio is uncertain b
 
 
 def _white(noise: Array, use: Array) -> Array:
-    """Noise level of each ring, the median over the lines chosen by `use`: few of them contain waves."""
+    """White noise of each ring of wavenumber, (k,): median of `noise` (omega, k) where `use` is true.
+
+    Few of these frequencies may contain waves. 0 in rings without usable frequencies.
+    """
     noise = np.where(use, noise, np.nan)
     usable = np.isfinite(noise).any(axis=0)  # short records: some rings have no line away from free waves
     out: Array = np.zeros(noise.shape[1])
@@ -202,7 +205,7 @@ class _Elevations:
     zz: Array
     ww: Array
     zw: Array
-    shape: Array  # (omega, k): noise of a displacement relative to that of the elevation from it
+    noise_factor: Array  # (omega, k): noise spectrum of w dt over that of the elevation integrated from w
     speed: float = 0.0  # of the current, m/s
 
     @property
@@ -250,8 +253,8 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
         eta = gains.elevation(spectra.zw)
         noise_z, noise_w = spectra.zz - gains.z * eta, spectra.ww - gains.w * eta
         white_z = _white(noise_z, use)
-        white_dz = _white(noise_w * spectra.shape, use)
-        fit_w = np.where(omega[:, None] > 0, white_dz / spectra.shape, np.inf)
+        white_dz = _white(noise_w * spectra.noise_factor, use)
+        fit_w = np.where(omega[:, None] > 0, white_dz / spectra.noise_factor, np.inf)
     fit_z = np.broadcast_to(white_z, spectra.zz.shape)
     known = bool(((apart > 0).mean(axis=0) > 0.5).mean() > 0.5)
     tiny = _tiny(spectra)
@@ -490,7 +493,10 @@ def _fused(
     depth: float,
     gamma: float,
 ) -> xr.Dataset:
-    """Product `fused`: as `fused_spectra`, from the sums of an analysis."""
+    """Compute the result of `fused_spectra` from the Welch sums that `analyze` has made already.
+
+    `gamma` is the surface tension over the density. To free memory, the map of z and w leaves `ring_sums`.
+    """
     cross = ring_sums.pop("map z*w")  # frees memory: no other product needs it
     zw = xr.DataArray(density(cross, welch), density_w.coords, density_w.dims)
     if gain is not None:

@@ -108,7 +108,10 @@ def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Arr
 
 
 def with_stds(out: xr.Dataset, stds: dict[str, float]) -> xr.Dataset:
-    """Add the standard uncertainties of the significant height and of the slopes, from relative ones."""
+    """Add standard uncertainties of the significant height, the mean square slope and the rms slope.
+
+    `stds` has relative ones, of the variance of z (`variance`) and of the mean square slope (`slope`).
+    """
     parts = {}
     for name, kind, power in (
         ("significant_height", "variance", 0.5),
@@ -170,9 +173,11 @@ def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -
 
 
 def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
-    """Moments from sums (4, nodes) over time of powers of the differences from a guess of the mean.
-    All but the mean and ``pdf_std`` refer to each node's mean in time. Differences between these means are
-    mostly errors of the calibration, not waves.
+    """Moments from `powers` (4, nodes): sums over `steps` steps of (value - guess)^p at a node, p = 1 to 4.
+
+    Standard deviation, skewness and excess kurtosis are about the mean in time of each node, because
+    differences between these means are mostly errors of the calibration. The mean and ``pdf_std`` are of all
+    nodes.
     """
     a1, a2, a3, a4 = powers / steps
     m2 = (a2 - a1**2).mean()

@@ -201,7 +201,10 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Group `kinematics`: sqrt(E_nl / E_w), nonlinear to linear term, over k and omega, with 95 % limits."""
+    """Ratio of the nonlinear term to w for the group `kinematics`: sqrt(E_nl / E_w) over k, and over omega.
+
+    E_nl and E_w are the spectra of the two terms. The results include the factors of the 95 % limits.
+    """
     out: dict[str, Any] = {}
     w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))
     for axis in ("k", "omega"):

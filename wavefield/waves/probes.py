@@ -241,7 +241,11 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
 
 
 def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[NDArray[np.bool_], float]:
-    """Which samples of the probes are in the record, and their rate, Hz; raises CubeError if too few are."""
+    """Mask of the probe samples within `span` (start and end of the record, s), and their rate, Hz.
+
+    Raises CubeError if they cover less than about one segment (`duration`, s), or if they are not evenly
+    spaced.
+    """
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(

@@ -51,9 +51,11 @@ def fill_error(block: Array) -> float:
 
 
 def most_probable(block: Array, hole: NDArray[np.bool_]) -> Array:
-    """Values at the holes, (hole.sum(),), of a block (steps, ny, nx): conditional mean of a Gaussian process.
-    Its spectrum S(omega, |k|) is that of the filled block. With G = 1 - min(S) / S the missing values solve
-    x_m = G_mm x_m + G_mo x_o. The iteration begins with local means.
+    """Return the most probable values at the holes of a block (steps, ny, nx), as (hole.sum(),).
+
+    They are the conditional mean of a Gaussian process with the spectrum S(omega, |k|) of the filled block,
+    so S and the filling are iterated, from local means. G is the filter with the gain 1 - min(S) / S. With m
+    the missing and o the observed nodes, minus the mean, x_m = G_mm x_m + G_mo x_o.
     """
     mean = block[~hole].mean(dtype=float)
     known = np.where(hole, 0, block - mean).astype(block.dtype)
@@ -239,8 +241,10 @@ def all_finite(block: np.ndarray) -> bool:
 
 
 def outside_holes(finite: np.ndarray) -> np.ndarray:
-    """Nodes (steps, ny, nx) outside of holes, which are squares of `HOLE_SIDE` missing nodes and more.
-    Nodes beyond an edge count as missing, so gaps along an edge are holes.
+    """True at nodes (steps, ny, nx) outside holes; a hole consists of squares of missing nodes.
+
+    The side of a square is `HOLE_SIDE` nodes. Nodes beyond an edge count as missing, so a gap of `HOLE_SIDE`
+    nodes along an edge is a hole even if it is one node deep.
     """
     side = np.ones((1, HOLE_SIDE, HOLE_SIDE), bool)
     holes = np.zeros_like(finite)

@@ -171,7 +171,7 @@ class Posterior:
         return np.asarray(np.einsum("prn,psn->nrs", half, half, optimize=True))
 
     def covariance_of_unknowns(self) -> Array:
-        """Covariance of the unknowns, (2 unknowns, 2 unknowns)."""
+        """Covariance of the real parts, then the imaginary parts, of the n unknowns: (2 n, 2 n)."""
         lower, _ = scipy.linalg.lapack.dpotri(self._lower, lower=True)
         inverse = np.tril(lower) + np.tril(lower, -1).T
         return np.asarray(self.scale[:, None] * inverse * self.scale)

@@ -406,14 +406,17 @@ class Welch:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Cells (omega, k) above the main lobe of the mean and below the Nyquist wavenumbers of x and y."""
+        """Mask (omega, k): frequencies above the main lobe of the mean, k below the Nyquist wavenumbers."""
         nyquist = np.pi / max(self.record.dy, self.record.dx)
         table = self.table
         in_k = (table.k > MAIN_LOBE * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
         return inner(self.omega.size)[:, None] & in_k
 
     def over_filled(self, energy: Any, added: float) -> Any:
-        """Cells of E(k, omega), (omega, k), well above ``added``, the error of filled nodes in E(omega)."""
+        """Mask (omega, k): where `energy`, E(k, omega), exceeds four times the error of filled nodes.
+
+        `added` is this error in E(omega); it is taken as white in the plane of k.
+        """
         plane = 2 * np.pi * self.table.k * self.table.coverage
         white = added * plane * self.record.dy * self.record.dx / (2 * np.pi) ** 2
         return energy > MIN_OVER_FILLED * white
