@@ -103,10 +103,10 @@ KINDS: tuple[tuple[str, str, str], ...] = (
 
 
 def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the index into `KINDS` of the kind of quality of each value, or `len(KINDS)` if none applies.
+    """Return the kind of each value of `quality`, as an index into the list `KINDS`, in the same shape.
 
-    The kinds are in order: if several bits of a value are set, the earlier kind counts. The result has the
-    shape of `quality`.
+    Each kind is one quality bit. If several bits of a value are set, the kind that comes first in the list
+    counts. The index is `len(KINDS)` if no kind applies.
     """
     out = np.full(np.shape(quality), len(KINDS), np.uint8)
     for index in range(len(KINDS) - 1, -1, -1):

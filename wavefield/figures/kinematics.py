@@ -99,7 +99,8 @@ def plane_coherence_maps(plane: xr.Dataset) -> Figure:
 
     Notes
     -----
-    The curves average the coherence itself over the angle of k, not the spectra that it is the ratio of.
+    The curves are means of the coherence over the angle of k. They are not a coherence computed from spectra
+    that were averaged over the angle.
     """
     figure, [[left, right]] = panels(2, height=4.4)
     kx, ky = (plane[name].values / (2 * np.pi) for name in ("kx", "ky"))

@@ -34,7 +34,7 @@ _REASONS = {
 
 
 def _quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
-    """Return the fraction of values in which each bit of `_REASONS` is set, over the dimensions `dims`."""
+    """Return the fraction of values that have each quality bit of `_REASONS`, averaged over `dims`."""
     return xr.Dataset(
         {name: ((quality & np.uint16(int(flag))) != 0).mean(dims) for name, flag in _REASONS.items()}
     )
@@ -128,7 +128,7 @@ def uncertainty_maps(cube: xr.Dataset) -> Figure:
 
 
 def _median_in_time(field: xr.DataArray) -> xr.DataArray:
-    """Return the median over time, (y, x), from at most 200 steps, which is accurate to a few percent."""
+    """Return the median over time, (y, x), of at most 200 evenly spaced steps, to save memory."""
     stride = -(-field.sizes["time"] // 200)
     part = field.isel(time=slice(None, None, stride)).load()
     values = np.ma.filled(
@@ -140,7 +140,11 @@ def _median_in_time(field: xr.DataArray) -> xr.DataArray:
 def _draw_density(
     axes: Axes, values: np.ndarray, unit: str, name: str, style: dict[str, object], span: float
 ) -> float:
-    """Draw the probability density of values up to `span` from their mean; return the std of all values."""
+    """Draw the probability density of values (any shape), and return their standard deviation.
+
+    The curve covers values within `span` of the mean. `unit` and `name` go into the legend, `style` holds the
+    settings of the line.
+    """
     finite = values[np.isfinite(values)]
     sigma, mean = (float(finite.std()), float(finite.mean())) if finite.size else (0.0, 0.0)
     bins = np.linspace(mean - span, mean + span, 121) if span else np.linspace(-1, 1, 121)
@@ -211,8 +215,8 @@ def rest_distributions(rest: xr.Dataset, level: float = 0.0) -> Figure:
     ----------
     rest : Dataset, (time, y, x)
         A cube of still water with z (m) and u, v, w (m s-1) and the attribute frame_rate (Hz).
-    level : float
-        Level of the water, m.
+    level : float, default 0
+        Elevation of the still water (z_rest), m.
 
     Returns
     -------
@@ -220,8 +224,8 @@ def rest_distributions(rest: xr.Dataset, level: float = 0.0) -> Figure:
 
     Notes
     -----
-    Corresponds to the figure of water at rest in Aubourg et al. (2019): z - z_rest with and without each
-    node's mean over time, and dx, dy, dz.
+    Corresponds to the figure of water at rest in Aubourg et al. (2019): z - z_rest, the same minus the mean
+    over time at each node, and dx, dy, dz.
     """
     figure, [[left, right]] = panels(2, height=4.6)
     z = 1e3 * (rest.z.values.astype(float) - level)

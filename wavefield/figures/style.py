@@ -64,8 +64,8 @@ def panels(
 ) -> tuple[Figure, NDArray[np.object_]]:
     """Return a figure with rows and columns of axes, and the axes (rows, columns); pyplot is not used.
 
-    `width` and `height` are the size of one panel in inches; `projection` is that of matplotlib, such as
-    "3d".
+    `width` and `height` are the size of one panel in inches. `projection` is a projection of matplotlib, such
+    as "3d".
     """
     with matplotlib.rc_context(_RC):
         figure = NotebookFigure(figsize=(width * columns, height * rows), layout="constrained")
@@ -132,8 +132,8 @@ def draw_map(
 ) -> None:
     """Draw a map of a field (y, x) times a factor, with a colour bar.
 
-    `scale` gives the values at both ends of the colours, by default balanced about zero. `norm`, a matplotlib
-    norm, replaces it.
+    `scale` holds the values at the lower and upper end of the colours; by default they are balanced about
+    zero. If `norm`, a matplotlib norm, is given, it sets the colours in place of `scale`.
     """
     values = factor * np.asarray(field.transpose("y", "x").values, float)
     if scale is None:
@@ -149,7 +149,10 @@ def draw_map(
 def draw_positive_map(
     axes: Axes, field: xr.DataArray, label: str, factor: float = 1.0, percent: float = 99
 ) -> None:
-    """Draw a map of a positive field (y, x) times a factor; the colours end at 0 and at a percentile."""
+    """Draw a map of a positive field (y, x) times a factor, with a colour bar.
+
+    The colours go from 0 to the percentile `percent` of the field.
+    """
     top = factor * limit(field, percent)
     draw_map(axes, field, label, factor=factor, cmap=POSITIVE, scale=(0, top))
 
@@ -165,12 +168,12 @@ def moment_title(snapshot: xr.Dataset) -> str:
 
 
 def hertz(group: xr.Dataset | xr.DataArray) -> np.ndarray:
-    """Return the frequencies of a group of a wave store, (n,), Hz."""
+    """Return the frequencies (n,), Hz, at which a group of a wave store has values."""
     return np.asarray(group.omega.values / (2 * np.pi))
 
 
 def cycles(group: xr.Dataset | xr.DataArray) -> np.ndarray:
-    """Return the wavenumbers of a group of a wave store, (n,), cycles per metre."""
+    """Return the wavenumbers (n,), cycles per metre, at which a group of a wave store has values."""
     return np.asarray(group.k.values / (2 * np.pi))
 
 
@@ -203,9 +206,9 @@ def draw_curves(
 
 
 def plain_axes(axes: Axes, **legend: object) -> None:
-    """Give a line plot a light grid, and a legend outside the axes, where no line crosses it.
+    """Add a light grid to a line plot, and a legend outside the axes if its lines have labels.
 
-    `legend` are settings of the legend, as in matplotlib.
+    `legend` holds arguments of matplotlib's `Axes.legend`.
     """
     axes.grid(True, which="major", color="0.88", linewidth=0.7)
     axes.set_axisbelow(True)
@@ -218,9 +221,9 @@ def plain_axes(axes: Axes, **legend: object) -> None:
 def finish(
     axes: Axes, xlabel: str, ylabel: str, legend: Mapping[str, object] | None = None, **properties: object
 ) -> None:
-    """Set the labels of a line plot, then its grid and legend.
+    """Set the axis labels of a line plot, and add a grid and a legend.
 
-    `legend` are settings of the legend, `properties` are those of `Axes.set`.
+    `legend` holds arguments of matplotlib's `Axes.legend`, `properties` further arguments of `Axes.set`.
     """
     axes.set(xlabel=xlabel, ylabel=ylabel, **properties)
     plain_axes(axes, **(legend or {}))

@@ -67,12 +67,12 @@ def errors_against(cube: xr.Dataset, truth: xr.Dataset) -> xr.Dataset:
     Parameters
     ----------
     cube, truth : Dataset, (time, y, x)
-        Measured and exact fields. Nodes and times may differ by a nanometre and a microsecond.
+        Measured and exact fields. Nodes are matched to within 1 nm, steps to within 1 us.
 
     Returns
     -------
     Dataset, (time, y, x)
-        Errors of z (m) and u, v, w (m s-1), loaded, at the nodes and steps that both have.
+        Errors of z (m) and u, v, w (m s-1), loaded, at the nodes and steps that both datasets have.
     """
 
     def keyed(data: xr.Dataset) -> xr.Dataset:
@@ -131,9 +131,10 @@ def pair_items(run: Run) -> list[Item]:
 
 
 def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
-    """Return a table row per error of pairs: name, rms in cm, in px, fraction beyond, published rms; as text.
+    """Return one table row, as text, for each kind of error and pair of cameras in `Run.pair_statistics`.
 
-    `found` is `Run.pair_statistics`. The fraction beyond is that of errors larger than three times the rms.
+    A row holds the name, the rms in cm, the rms in px, the percentage of errors larger than three times the
+    rms, and the rms of Aubourg et al. (2019). An entry is empty where it does not apply.
     """
     rows: list[tuple[str, ...]] = []
     for k in range(found.sizes["error"]):
@@ -153,8 +154,8 @@ def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
 def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: float, label: str) -> None:
     """Draw the densities of the errors of some quantities, one line per pair of cameras.
 
-    `factor` converts stored values to the displayed unit; `label` is a symbol and that unit, such as "eps_y
-    mm".
+    `found` is `Run.pair_statistics`. `factor` converts its values to the displayed unit. `label` is a symbol
+    and this unit, such as "eps_y mm".
     """
     symbol, unit = label.rsplit(" ", 1)
     errors = found.isel(error=np.isin(found.quantity, quantities))
@@ -187,8 +188,8 @@ def pair_differences(found: xr.Dataset) -> Figure:
     """Draw the distributions of differences between pairs of cameras in z, dx, dy and dz, px.
 
     `found` is `Run.pair_statistics`. Aubourg et al. (2019) show the same differences between three pairs, and
-    those between the z that two pairs give together and the z of the third pair. The mean of each node in
-    time is included.
+    the difference between z from two pairs together and z from the third pair. The mean over time at each
+    node is not subtracted.
     """
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     figure, axes = panels(2, 2, height=4.8)

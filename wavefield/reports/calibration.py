@@ -45,8 +45,9 @@ def write_calibration(
 ) -> Path:
     """Write the page `index.html` and the file `numbers.yaml` of a calibration into a folder.
 
-    `target` draws the target found in the images, or returns None. Returns the path of the page. Raises
-    StoreError if one of the files exists and is not an earlier `product` of the same experiment.
+    `target` is a function that returns a figure of the target found in the images, or None. Returns the path
+    of the page. `product` marks both files as written by wavefield for one experiment. Raises StoreError if
+    one of them exists without this mark.
     """
     directory = Path(directory)
     content: dict[str, Any] = {
@@ -73,7 +74,7 @@ def write_calibration(
 
 
 def _predicted(calibration: Calibration) -> dict[str, Any]:
-    """Return the camera model and the errors that the fit predicts, for `numbers.yaml`."""
+    """Return the name of the camera model and the errors that the fit predicts, as in `numbers.yaml`."""
     errors = calibration.predicted
     assert errors is not None
     return {
@@ -223,9 +224,9 @@ def _flat(content: Content) -> str:
 
 
 def with_std(value: float, std: float) -> str:
-    """Return a value ± its standard uncertainty, with two digits of the uncertainty.
+    """Return a value and its standard uncertainty as text, "value ± std", with two digits of `std`.
 
-    If that is zero, because the value was not fitted, it ends with "(held)".
+    If `std` is zero, because the value was not fitted, the text is the value and "(held)".
     """
     if not std > 0:
         return f"{value:.6g} (held)"
@@ -246,7 +247,7 @@ def _lens(content: Content) -> Table:
 
 
 def rig_sentences(rig: Rig) -> Iterator[str]:
-    """Yield a sentence on the distance of each camera from the target, and one on their common field."""
+    """Yield two sentences: on the distances of the cameras from the target, and on their common field."""
     distances = ", ".join(
         f"{name} {float(np.linalg.norm(camera.centre)):.2f} m" for name, camera in rig.cameras.items()
     )
@@ -278,7 +279,10 @@ def calibration_folder(run: Run) -> Path | None:
 
 
 def calibration_section(run: Run) -> ReportSection:
-    """Return the section with a table of the residuals of the calibration; it names the page of pictures."""
+    """Return the section with the residuals of the calibration and the path of its page of pictures.
+
+    It has no items if there is no calibration report next to the rig file.
+    """
     section = ReportSection("Calibration", folded=True)
     folder = calibration_folder(run)
     if folder is None:

@@ -114,7 +114,7 @@ def coverage(observations: Observations) -> Figure:
 
 
 def flat_target(surface: FlatSurface, mesh: float) -> Figure:
-    """Draw z of the nodes of the flat target as the rig triangulates them; `mesh` is their distance, m."""
+    """Draw z of the nodes of the flat target, triangulated with the rig; `mesh` is their spacing, m."""
     figure = _figure(10.4, 6.0)
     axes = figure.subplots()
     kept = surface.plane.kept
@@ -141,8 +141,8 @@ def target_points(
 ) -> Figure:
     """Draw one image (row, column) of the target per camera with the nodes found in it.
 
-    If z = 0 of the rig is this pose of the target, pass `rig`: a circle marks its origin. Corresponds to the
-    figure of the calibration grid in Aubourg et al. (2019).
+    `images` and the nodes are by camera. Pass `rig` only if the target lies in its plane z = 0: a circle then
+    marks the origin of the rig. Corresponds to the figure of the calibration grid in Aubourg et al. (2019).
     """
     figure, axes = panels(len(images), width=4.0, height=3.8)
     marks = {"marker": "+", "linestyle": "", "color": LINES[2]["color"], "markersize": 5}
@@ -160,7 +160,8 @@ def target_points(
 def draw_found(result: TargetRig) -> Figure | None:
     """Draw the nodes found in one image of each camera, or return None if no camera has images.
 
-    It is the flat pose, or else the pose with the most nodes. Points from tables have no images.
+    For each camera this is the image of the flat pose, or without one the image with the most nodes. A camera
+    whose points were read from tables has no images.
     """
     poses = {
         camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))

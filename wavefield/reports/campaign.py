@@ -41,7 +41,10 @@ def compare(title: str, cubes: Sequence[tuple[str, Path]], output: str | Path) -
 
 
 def _groups(cube: Path) -> dict[str, xr.Dataset]:
-    """Return by name the groups of a cube's wave store that `_COLUMNS` needs; empty without the store."""
+    """Return the groups "statistics" and "kinematics" of a cube's wave store, by name.
+
+    A group that the store lacks is left out; without a store the result is empty.
+    """
     run, names = open_run(cube), ("statistics", "kinematics")
     return {name: group for name in names if (group := run.wave_group(name)) is not None}
 

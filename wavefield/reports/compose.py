@@ -63,7 +63,7 @@ def report(
 
 
 def page_of(cube: str | Path, kind: str) -> Path:
-    """Return the default path of a page of a cube, next to it; `kind` is "report" or "paper"."""
+    """Return the default path of a cube's page, in the folder of the cube; `kind` is "report" or "paper"."""
     return beside(find_store(cube), kind, ".html")
 
 

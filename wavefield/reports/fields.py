@@ -126,7 +126,11 @@ def setup(run: Run) -> ReportSection:
 
 
 def _middle_frames(run: Run) -> dict[str, np.ndarray]:
-    """Return by camera the middle frame of the record, or else the first or last, whichever can be read."""
+    """Return one image (row, column) of each camera of the rig, by camera.
+
+    It is the middle frame of the record; if this cannot be read it is the first frame, or else the last. A
+    camera without any of the three is left out.
+    """
     out = {}
     for name, series in run.frames.items():
         if run.rig is not None and name in run.rig.cameras:
@@ -269,9 +273,10 @@ def player(cube: xr.Dataset, still: Picture) -> Player:
 
 
 def excerpt(cube: xr.Dataset) -> xr.Dataset:
-    """Return z, u, v, w (time, y, x) for the player, loaded: successive steps in the middle of the record.
+    """Return z, u, v, w (time, y, x), loaded, for the player, an animation in the page.
 
-    Nodes are left out so that the fields fit into the page.
+    The steps are successive ones in the middle of the record. Steps before and after them are left out, and
+    nodes in between, so that the fields fit into the page.
     """
     thin = max(1, int(np.ceil(np.sqrt(cube.sizes["x"] * cube.sizes["y"] / MAX_NODES))))
     nodes = -(-cube.sizes["x"] // thin) * -(-cube.sizes["y"] // thin)
@@ -295,7 +300,7 @@ def _code(values: np.ndarray, half: float) -> str:
 
 
 def pack(cube: xr.Dataset) -> dict[str, str]:
-    """Return the data of the player for a cube (time, y, x), as text by the name of the HTML element."""
+    """Return the data of the animation of a cube (time, y, x), as text by the name of the HTML element."""
     part = excerpt(cube)
     every = max(1, round(max(part.sizes["x"], part.sizes["y"]) / MARKS_ACROSS))
     thin = slice(every // 2, None, every)

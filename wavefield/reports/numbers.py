@@ -38,7 +38,7 @@ def number(value: float, unit: str = "", digits: int = 3) -> str:
 
 
 def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> str:
-    """Return a variable of a wave store's group times a factor, ± its standard uncertainty, as text.
+    """Return a variable of a wave store's group, times a factor, as the text "value ± standard uncertainty".
 
     The text is empty if the group, the variable or its uncertainty `name_std` is missing or not finite.
 
@@ -65,13 +65,16 @@ def small(value: float, unit: str) -> str:
 
 
 def thinned(cube: xr.Dataset, *names: str) -> xr.Dataset:
-    """Return the named variables of a cube, loaded, each thinned in time to at most about `MAX_VALUES`."""
+    """Return the named variables of a cube, loaded, at every n-th step.
+
+    n is the smallest number with which a variable has at most about `MAX_VALUES` values.
+    """
     size = cube.sizes["time"] * cube.sizes["y"] * cube.sizes["x"]
     return cube[list(names)].isel(time=slice(None, None, -(-size // MAX_VALUES))).load()
 
 
 def snapshot(cube: xr.Dataset) -> xr.Dataset:
-    """Return the step (y, x) with the most values among those near the middle of the record, loaded."""
+    """Return the step (y, x) of a cube, loaded, that has the most values of all steps near mid-record."""
     middle = cube.sizes["time"] // 2
     near = cube.isel(time=slice(max(0, middle - _SNAPSHOT_STEPS), middle + _SNAPSHOT_STEPS + 1))
     shares = np.isfinite(near.w).mean(("y", "x")).values
@@ -97,7 +100,7 @@ def reason_of(run: Run, name: str) -> str:
 
 
 def in_folder(run: Run, words: str) -> str:
-    """Return `words` with the paths of the folders of the cube and of its experiment taken off."""
+    """Return the text `words` with its paths made relative to the folder of the cube or experiment."""
     experiment = run.experiment.path.parent if run.experiment is not None else run.store.parent
     for folder in (run.store.parent, run.store.absolute().parent, experiment, experiment.absolute()):
         if folder != Path():
@@ -144,7 +147,7 @@ class RunNumbers:
 
     @property
     def measured_in_view(self) -> float:
-        """Fraction of the values at nodes that the cameras see that were measured, not filled."""
+        """Fraction measured, not filled, of all values of `part` at nodes that the cameras see."""
         return self._measured / self.n_in_view
 
     @cached_property

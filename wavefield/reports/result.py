@@ -141,10 +141,10 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
 
 
 def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str]) -> list[tuple[str, str]]:
-    """Return one table row: for each camera, the percentage of visible nodes measured without it.
+    """Return a table row with the percentage of values that were measured without each camera.
 
-    There is no row if every camera took part everywhere. `quality` is (time, y, x); `n_in_view` is the number
-    of its values at visible nodes.
+    The list is empty if every camera took part everywhere. `quality` is (time, y, x). Percentages are of
+    `n_in_view`, the number of values at nodes that the cameras see.
     """
     shares = []
     for index, camera in enumerate(cameras):

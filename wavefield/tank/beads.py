@@ -15,11 +15,11 @@ T = TypeVar("T")
 
 
 class FrameHistory(Generic[T]):
-    """The state of a simulation at any frame, computed from frame to frame.
+    """The states of a simulation: `history[frame]` computes the state at a frame, step by step.
 
-    `first` is the state of frame 0; `advance(state, frame)` returns the state of the frame after `frame`.
-    Only the first state and the latest ones are kept: ask for frames in rising order, or they are computed
-    again.
+    `first` is the state at frame 0. `advance(state, frame)` returns the state at frame + 1 from the state at
+    `frame`. Only the first state and a few latest states are kept: an earlier frame is computed again from
+    frame 0.
     """
 
     def __init__(self, first: T, advance: Callable[[T, int], T]) -> None:
@@ -46,10 +46,10 @@ GROUP_SPREAD = 0.002  # standard deviation of their positions in the cluster, m
 
 
 def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, end: Velocity) -> Array:
-    """Return positions (2 or 3, ...), m, after a time h, s, by the fourth-order Runge-Kutta method.
+    """Return the positions (2 or 3, ...), m, after one fourth-order Runge-Kutta step of length h, s.
 
-    `position` has the same shape. `start`, `middle` and `end` return the velocity, m/s, at points x, y at the
-    times 0, h / 2 and h.
+    `position` (2 or 3, ...), m, holds the positions before the step. The functions `start`, `middle` and
+    `end` of x and y return the velocity, m/s, at the times 0, h / 2 and h.
     """
     k1 = start(position[0], position[1])
     p2 = position + h / 2 * k1
@@ -79,10 +79,11 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
 
 
 def centred_path(carried: Callable[[Array, Array, float], Array], x: Array, y: Array, half: float) -> Array:
-    """Return start and end, (2, 2 or 3, ...), m, of the paths of water from -half to +half, s, around x, y.
+    """Return where water that passes the points x, y, m, is at the times -half and +half, s.
 
-    Each point (x, y), m, is the mean of start and end of its path. `carried(px, py, t)` returns the position
-    after a time t, s, of the water that is at (px, py).
+    The result (2, 2 or 3, ...), m, holds the start and the end of each path. The mean of both ends is the
+    given point (x, y). `carried(px, py, t)` returns the position at time t of the water that is at (px, py)
+    at time 0.
     """
     px, py = x, y
     # correct the position at mid-time until the mean of both ends is the given point
@@ -106,9 +107,9 @@ class Population:
     """Beads on a rectangle of water that is larger than the cameras' view, frame after frame.
 
     x and y are the limits of the rectangle, m, and `cameras` is the number of cameras. Beads that leave the
-    rectangle return on the opposite side. Each second a small fraction is moved to a random position, as in a
-    tank that is seeded continuously; this keeps the density even in long records. Raises ValueError if the
-    surface of the scene is not of beads.
+    rectangle return on the opposite side. Each second a small fraction of the beads is moved to random
+    positions, which keeps the density even in long records. Raises ValueError if the scene has a surface
+    without beads.
     """
 
     def __init__(
@@ -166,7 +167,7 @@ class Population:
 
 
 def _holes(scene: Scene, settings: Beads) -> Array:
-    """Return n round patches without beads (n, 3), as x, y, diameter, m; the centres are in the grid."""
+    """Draw random round patches without beads; return their centres x, y and diameters, (n, 3), m."""
     rng = np.random.default_rng([scene.seed, 6])
     places = [
         rng.uniform(0.9 * low + 0.1 * high, 0.1 * low + 0.9 * high, settings.holes)

@@ -31,10 +31,10 @@ class SheetFlow:
 
     @classmethod
     def random(cls, settings: Sheet, period: tuple[float, float], seed: int) -> "SheetFlow":
-        """Return a random flow with the rms velocities of the settings and periods along x and y, m.
+        """Return a random flow with the rms velocities that `settings` gives.
 
-        Its wavelengths are drawn evenly in their logarithm, from half the smaller period to the shortest of
-        the settings.
+        `period` holds the periods of the flow along x and y, m. The logarithms of the wavelengths are drawn
+        evenly, from `settings.shortest` to half the smaller period.
         """
         rng = np.random.default_rng([seed, 11])
         longest = 0.5 * min(period)
@@ -58,7 +58,7 @@ class SheetFlow:
         return out.reshape(3, *np.shape(x))
 
     def carry(self, x: Array, y: Array, time: float) -> Array:
-        """Return x, y and the rise, (3, ...), m, of the fluid that is at (x, y), after `time`, s."""
+        """Return where fluid that is at (x, y), m, is after `time`, s: x, y and its rise, (3, ...), m."""
         fastest = np.hypot(*self.k.T).max() * 2.0 * np.sqrt(np.sum(np.abs(self.along) ** 2))
         steps = max(1, int(np.ceil(abs(time) * fastest / MAX_TURN)))
         position = np.stack([x, y, np.zeros(np.shape(x))])
@@ -90,10 +90,11 @@ def _velocity(
 
 
 class Particles:
-    """Particles in a light sheet, frame after frame, evenly distributed in a layer twice as thick.
+    """Particles that a flow moves through a light sheet, frame after frame.
 
-    x and y are the limits of the layer, m, and `cameras` is the number of cameras. A particle that leaves the
-    layer returns on the opposite side, where it is dark, and drifts into the light as in a real flow.
+    They fill a layer evenly that is twice as thick as the sheet. x and y are the limits of the layer in the
+    plane of the sheet, m, and `cameras` is the number of cameras. A particle that leaves the layer returns on
+    its opposite side.
     """
 
     def __init__(
@@ -128,7 +129,10 @@ class Particles:
         return np.stack([x0 + np.mod(x - x0, x1 - x0), y0 + np.mod(y - y0, y1 - y0), np.mod(height, 1.0)])
 
     def truth(self, x: Array, y: Array, time: float) -> Truth:
-        """Return the exact fields of the step around `time`, s, at nodes x, y (ny, nx), m, in sheet axes."""
+        """Return the exact velocities and displacements, in sheet axes, at nodes x, y (ny, nx), m.
+
+        `time` is the mid-time of the step, s. All elevations in the result are zero.
+        """
         start, end = centred_path(self.flow.carry, x, y, self._step / 2)
         zero = np.zeros(np.shape(x))
         u, v, w = self.flow(x, y)
@@ -137,9 +141,10 @@ class Particles:
 
 
 def plane(settings: Sheet) -> tuple[Array, Array]:
-    """Return the axes of the sheet as columns, (3, 3), and the position of its origin, (3,), m.
+    """Return a matrix (3, 3) and the origin (3,), m, of the sheet, both in the axes of the rig.
 
-    The x axis of the sheet is above the x axis of the rig.
+    The columns of the matrix are the unit vectors along x and y of the sheet and normal to it. The x axis of
+    the sheet lies above or below the x axis of the rig.
     """
     bx, by = np.tan(np.radians(settings.tilt))
     normal = np.array([-bx, -by, 1.0]) / np.sqrt(1.0 + bx * bx + by * by)

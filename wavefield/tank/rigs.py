@@ -65,9 +65,9 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
 def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: tuple[int, int]) -> Rig:
     """Return exact cameras around a light sheet: `cam1` and `cam2` on both sides, a vertical `cam3` if three.
 
-    `angle` is that of the outer cameras from the vertical, degrees; their sensors are tilted (Scheimpflug).
-    `distance` from the sheet and `pixel`, the size of a pixel on the sheet, are in metres. `size` is width
-    and height in px.
+    `angle` is the angle between the vertical and the axes of cam1 and cam2, degrees. The sensors of these two
+    cameras are tilted (Scheimpflug). `distance` is that from each camera to the sheet, and `pixel` the size
+    of a pixel on the sheet, both in metres. `size` is width and height of the images, px.
     """
     made = {}
     for name, side, roll, k1 in (("cam1", -1, 0.4, -0.04), ("cam2", 1, -0.5, -0.03), ("cam3", 0, 0.3, 0.03)):
@@ -83,8 +83,9 @@ def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: t
 def platform_rig(height: float, baseline: float, pitch: float, focal: float, size: tuple[int, int]) -> Rig:
     """Return two exact cameras, `left` and `right`, side by side on a platform above the sea.
 
-    `height` above the sea and `baseline`, the distance between them, are in metres. Their axes point down by
-    `pitch`, degrees. `focal` length and `size`, width and height, are in px.
+    The cameras look towards +y. `height` is their height above the sea, and `baseline` the distance between
+    them, both in metres. `pitch` is the angle of their axes below the horizontal, degrees. `focal` is the
+    focal length, and `size` the width and height of the images, all in px.
     """
     made = {}
     for name, side, roll, turn, down, k1 in (
@@ -119,9 +120,10 @@ def _camera(
 
 
 def _orientation(axis: Array, roll: float) -> Array:
-    """Return the rotation (3, 3) of a camera that looks along `axis`, (3,), in physical axes.
+    """Return the rotation matrix (3, 3), from rig to camera axes, of a camera that looks along `axis`, (3,).
 
-    Image rows run towards -y; then the camera is turned about its axis by `roll`, rad.
+    `axis` is a unit vector in the axes of the rig. Before the camera is turned about it by `roll`, rad, the
+    rows of its image run towards -y.
     """
     down = np.array([0.0, -1.0, 0.0])
     right = np.cross(down, axis)
@@ -132,9 +134,9 @@ def _orientation(axis: Array, roll: float) -> Array:
 def bounds(
     rig: Rig, lowest: float, highest: float, margin: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits along x and y, m, of the water that any camera sees.
+    """Return the limits along x and along y, m, of the water that at least one camera sees.
 
-    The water is between the heights `lowest` and `highest`, m. A margin, m, is added on each side.
+    The water is between the heights `lowest` and `highest`, m. Each side is extended by `margin`, m.
     """
     corners = np.concatenate([_bounding(rig[name], z) for name in rig for z in (lowest, highest)])
     low, high = np.nanmin(corners, axis=0) - margin, np.nanmax(corners, axis=0) + margin
@@ -142,7 +144,10 @@ def bounds(
 
 
 def _bounding(camera: Camera, height: float) -> Array:
-    """Return the corners of a camera's view, (n, 2), m, on a plane at `height`, m; a horizon is cut off."""
+    """Return points x, y, (n, 2), m, that span a camera's view of the horizontal plane at `height`, m.
+
+    They are the four corners of the view, or samples of its near part if the camera sees the horizon.
+    """
     corners = camera.corners(height)
     if np.isfinite(corners).all():
         return corners
@@ -151,7 +156,7 @@ def _bounding(camera: Camera, height: float) -> Array:
 
 
 def pixel_footprint(camera: Camera) -> tuple[float, float]:
-    """Return the size along x and along y, m, of the middle pixel of the image on still water."""
+    """Return how much still water the middle pixel of the image covers along x and along y, m."""
     x, y = camera.unproject((camera.size[0] - 1) / 2, (camera.size[1] - 1) / 2)
     jacobian = camera.jacobian(x, y, 0.0)
     return float(1.0 / np.hypot(*jacobian[:, 0])), float(1.0 / np.hypot(*jacobian[:, 1]))

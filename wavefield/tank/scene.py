@@ -36,7 +36,7 @@ from wavefield.tank.sea import Sea
 
 
 def _kind_of_rig(value: object) -> str:
-    """Return the tag of the class of a rig, from an instance or from the keys of a mapping."""
+    """Return the pydantic tag, such as "sheet-rig", of a rig given as an instance or as a mapping."""
     if isinstance(value, RigFile) or (isinstance(value, Mapping) and "file" in value):
         return "rig-file"
     if isinstance(value, PlatformRig) or (isinstance(value, Mapping) and "height" in value):
@@ -121,7 +121,7 @@ class Scene(SceneRecord):
         return self
 
     def frame_time(self, frame: float) -> float:
-        """Return the time of the sea, s, at which the cameras take a frame, with jitter of their clock."""
+        """Return the simulated time, s, at which the cameras take a frame, with the clock's random jitter."""
         jitter = self.timing.jitter
         if not jitter:
             return self.time(frame)

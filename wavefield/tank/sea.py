@@ -34,7 +34,7 @@ MIN_DETUNING = 0.1  # pairs with |q g' - S^2| below this fraction of q g' are re
 
 @dataclass(frozen=True)
 class BoundWaves:
-    """Second-order waves that pairs of free waves force: p pairs, and the m wave vectors that these give."""
+    """Second-order waves that p pairs of free waves force; they share m different wave vectors."""
 
     kx: Array  # (m,): Wave vectors, rad/m
     ky: Array
@@ -205,7 +205,10 @@ class Sea:
         )
 
     def _coefficients(self, time: float) -> dict[str, Complex]:
-        """Return by name the complex amplitudes (nky, nkx), at a time, s, of all fields but w over `axes`."""
+        """Return the complex amplitudes of all fields but w at a time, s, by name of the field.
+
+        Each is (nky, nkx), over the wavenumbers that `axes` returns.
+        """
         turned = self.amplitude * np.exp(-1j * self.omega * time)
         velocity_over_elevation = self.sigma / (self.k * np.tanh(self.k * self.depth))
         waves = {
@@ -234,8 +237,8 @@ class Sea:
     def sums(self, ex: Complex, ey: Complex, time: float, names: Sequence[str]) -> dict[str, Array]:
         """Return the named fields, (ny, nx), at a time, s, as sums over all waves, without the current.
 
-        w is not a sum of waves. `ex` (nkx, nx) and `ey` (ny, nky) are exp(i k x) and exp(i k y) for the
-        wavenumbers `axes`; each may be multiplied by any function of the wavenumber.
+        `ex` (nkx, nx) is exp(i kx x) and `ey` (ny, nky) is exp(i ky y), for the wavenumbers of `axes`. Each
+        may be multiplied by any function of the wavenumber. `names` must not contain w, which is no such sum.
         """
         along_x = np.concatenate([ex.real, -ex.imag])
         along_y = np.concatenate([ey.real, ey.imag], axis=1)
@@ -272,7 +275,10 @@ class Sea:
 
 
 def _needed(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the fields to sum for `names`: all but w if w is among them; ValueError if one is unknown."""
+    """Return the names of the fields to sum over waves so that `names` can be computed.
+
+    If w is in `names`, these are all fields but w. Raises ValueError if a name is unknown.
+    """
     unknown = set(names) - set(FIELDS)
     if unknown:
         raise ValueError(f"the sea has no field {sorted(unknown)[0]!r}; it has {', '.join(FIELDS)}")
@@ -281,7 +287,7 @@ def _needed(names: Sequence[str]) -> tuple[str, ...]:
 
 @compiled(fastmath=True)
 def _product(a: Array, b: Array) -> Array:
-    """Return the matrix product a @ b on one thread; BLAS would start more in each thread that draws."""
+    """Return the matrix product a @ b, computed on one thread, unlike that of BLAS."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
         for k in range(a.shape[1]):

@@ -215,7 +215,10 @@ class Tank:
         return np.asarray(gaussian_filter(image, self.scene.light.blur, mode="nearest"), np.float32)
 
     def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
-        """Return two splines over (y, x), m: where water at x, y in `frame` was in frame 0, minus x, y."""
+        """Return how far water moved from `frame` back to frame 0, along x and along y, m.
+
+        The two splines are functions of (y, x), the position of the water in `frame`, m.
+        """
         with self._drift_lock:  # other threads may be drawing other frames
             return self._drifts[frame]
 
@@ -236,7 +239,10 @@ class Tank:
 
     @cached_property
     def target_poses(self) -> dict[str, targets.Pose]:
-        """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``; none at sea."""
+        """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``.
+
+        The mapping is empty if the surface is the open sea.
+        """
         settings, grid = self.scene.calibration, self.scene.grid
         if isinstance(self.scene.surface, SeaSurface):
             return {}  # there is no target at sea

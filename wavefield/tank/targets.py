@@ -26,10 +26,9 @@ class Pose:
 
 
 def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, float], seed: int) -> list[Pose]:
-    """Return `number` random poses of a target that somebody holds in the field of view.
+    """Return `number` random poses of a target, as if somebody held it in the field of view.
 
-    They are tilted by up to `tilt` degrees, each in another direction; x and y are the limits of the field,
-    m.
+    Each pose is tilted in another direction, by up to `tilt` degrees. x and y are the limits of the field, m.
     """
     rng = np.random.default_rng([seed, 8])
     size = min(x[1] - x[0], y[1] - y[0])
@@ -56,9 +55,9 @@ def _rotation(axis: int, angle: float) -> Array:
 
 
 def move_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, cameras: Iterable[Camera]) -> Pose:
-    """Return a pose moved towards the middle of the field, (3,), m, until all cameras see the whole board.
+    """Return the pose of a board, moved towards the point `middle` until all cameras see all of the board.
 
-    If no such place is found, because the board is too large, the pose is returned unchanged.
+    `middle`, (3,), m, is the middle of the field. If no place is found, the pose is returned unchanged.
     """
     # the corners of a chessboard can only be numbered if all of it is visible
     around = 1.5 if isinstance(board, Chessboard) else 0.5  # the outer squares and half a white one
@@ -84,10 +83,10 @@ _QUADRATURE = np.stack(
 
 
 def node_offsets(target: Strings, seed: int) -> Array:
-    """Return random position errors, (n, n, 3), m, of the crossings of n by n strings.
+    """Return random position errors along x, y and z, (n, n, 3), m, of the crossings of n by n strings.
 
-    Crossing (i, j), counted from the origin along x and y, is at [j + half, i + half]. The two marked
-    crossings have no error.
+    The crossing i meshes along x and j meshes along y from the origin has the index [j + half, i + half],
+    where half is `target.half`. The two marked crossings have no error.
     """
     count = 2 * target.half + 1
     offsets = target.node_offset * np.random.default_rng([seed, 9]).standard_normal((count, count, 3))
@@ -100,8 +99,8 @@ def draw(
 ) -> NDArray[np.float32]:
     """Return the light of a target on the pixels of a camera, (row, column), in grey levels of 255.
 
-    Background, uneven light and noise are not in it. `blur` is in px; `offsets` (n, n, 3), m, is the result
-    of `node_offsets`.
+    Background, uneven light and noise are not included. `blur` is the standard deviation of a point's image,
+    px. `offsets` (n, n, 3), m, is the result of `node_offsets`.
     """
     # seen from a camera in the target's own axes, the target is the plane z = 0
     own = replace(camera, rotation=camera.R @ pose.rotation, translation=camera.R @ pose.origin + camera.T)
@@ -134,10 +133,10 @@ def _draw_strings(target: Strings, s: Array, t: Array, blur: float) -> NDArray[n
 
 
 def _undo_offsets(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple[Array, Array]:
-    """Return the points of a perfect target that the camera sees at (x, y) on a target with offsets.
+    """Return which points of a perfect target appear at (x, y) when its crossings have position errors.
 
-    x, y and offsets (n, n, 3) are in meshes of the target, `mesh` in m; `own` is the camera in the target's
-    axes.
+    x, y (any shape), the position errors `offsets` (n, n, 3) and both results are in units of the mesh.
+    `mesh` is in m. `own` is the camera in the axes of the target.
     """
     half = offsets.shape[0] // 2
     lean_x, lean_y = own.sight_line(x * mesh, y * mesh)
@@ -165,10 +164,10 @@ def _step(d: float, blur: float) -> float:
 def _disc(
     ds: float, dt: float, radius: float, sx: float, sy: float, tx: float, ty: float, blur: float
 ) -> float:
-    """Return the brightness, 0 to 1, of a blurred disc at (ds, dt) from its centre, in the target's plane.
+    """Return the brightness, 0 to 1, of a blurred disc at the distance (ds, dt) from its centre.
 
-    (sx, sy) and (tx, ty) are the derivatives of s and t by column and row. The edge is therefore (r - radius)
-    / |grad r| pixels away. `blur` is in px, `radius` in the unit of s and t.
+    s and t are coordinates in the plane of the target, and `radius` has their unit. (sx, sy) and (tx, ty) are
+    the derivatives of s and t by column and row of the image. `blur` is a standard deviation, px.
     """
     r = math.hypot(ds, dt)
     if r < 1e-12:

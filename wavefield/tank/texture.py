@@ -57,7 +57,7 @@ ROUGHNESS = 0.15  # rms slope too fine to be drawn, which keeps the far sea dark
 
 @dataclass(frozen=True)
 class VisibleWater:
-    """The water that the sight line of each pixel meets, (row, column); NaN if it meets none near enough."""
+    """The water that each pixel shows, (row, column); NaN where the pixel shows no simulated water."""
 
     x: Array  # positions of the water, m
     y: Array
@@ -77,7 +77,7 @@ def horizon_dip(height: float) -> float:
 def visible_water(camera: Camera, snapshot: Snapshot, reach: float) -> VisibleWater:
     """Return the water that the sight line of each pixel meets first; waves may hide what is behind them.
 
-    `snapshot` gives z, z_x and z_y, in this order; `reach` is the largest elevation, m.
+    `snapshot` must hold z, z_x and z_y, in this order. `reach` is the largest elevation, m.
     """
     width, height = camera.size
     x, y = camera.unproject(np.arange(float(width)), np.arange(float(height))[:, None])
@@ -95,7 +95,11 @@ def visible_water(camera: Camera, snapshot: Snapshot, reach: float) -> VisibleWa
 
 
 def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, y: Array) -> Array:
-    """Return the elevation, m, at which sight lines through (x, y, 0) first meet the water; NaN if never."""
+    """Return the elevation z, m, where the sight line of a camera through (x, y, 0) first meets the water.
+
+    It has the shape of x and y, m, and is NaN for sight lines that meet no water. `reach` is the largest
+    elevation, m.
+    """
     dx, dy = camera.sight_line(x, y)
     out = np.full(x.shape, np.nan)
     above = np.full(x.shape, np.nan)
@@ -149,11 +153,11 @@ def _radiance(upward: Array) -> Array:
 def texture_at(
     seen: VisibleWater, drift: Sequence[RectBivariateSpline], paints: Sequence[Paint], far: float
 ) -> Image:
-    """Return the sum of textures that move with the water, averaged over each pixel, (row, column).
+    """Return the sum of the textures `paints`, moved with the water and averaged over pixels, (row, column).
 
-    `drift` are two splines over (y, x): the position of the water at the first frame minus the present
-    position, along x and along y, m. The simulated waves end at the distance `far`, m; the texture fades
-    towards it.
+    `drift` holds two functions of (y, x): the position of the water at the first frame minus its present
+    position, along x and along y, m. The textures fade to zero towards the distance `far`, m, at which the
+    simulated waves end.
     """
     width, height = seen.x.shape[1], seen.x.shape[0]
     fine = []
@@ -170,7 +174,7 @@ def texture_at(
 
 
 def _enlarged(coarse: Array, shape: tuple[int, ...]) -> Array:
-    """Return a field, given at every `COARSE`-th pixel, interpolated linearly to all pixels of `shape`."""
+    """Return an image of the given shape, interpolated linearly from values at every `COARSE`-th pixel."""
     rows, columns = (np.arange(n) / COARSE for n in shape[:2])
     at = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
     return np.asarray(

@@ -113,9 +113,9 @@ def _draw(
     most: int,
     report_progress: Callable[[], None],
 ) -> None:
-    """Draw and write images on the threads of `pool`; at most `most` wait at once.
+    """Draw and write images on the threads of `pool`; call `report_progress` after each image.
 
-    `report_progress` is called after each image.
+    At most `most` images are in work or queued at once.
     """
     waiting: deque[Future[None]] = deque()
     for path, drawing in drawings:
@@ -169,7 +169,10 @@ def _write_truth(
 
 
 def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
-    """Write the small files: experiment.yaml, scene.yaml, truth/rig.yaml, probes.csv; lenses.yaml at sea."""
+    """Write the files experiment.yaml, scene.yaml and truth/rig.yaml of a simulated experiment.
+
+    With wave probes it also writes probes.csv, and lenses.yaml if the surface is the open sea.
+    """
     names = list(tank.rig)
     experiment = {
         "name": scene.name,
@@ -206,7 +209,7 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
 
 
 def _write_probes(path: Path, scene: Scene, sea: Sea) -> None:
-    """Write the elevation at the scene's probes, with noise, as CSV: times, s, and a column, m, per probe."""
+    """Write a CSV table of time, s, and the noisy elevation at each wave probe, m."""
     settings = scene.probes
     times = np.arange(int(scene.frames / scene.frame_rate * settings.rate) + 1) / settings.rate
     x, y = np.array(list(settings.positions.values()), float).T
@@ -246,8 +249,8 @@ def _describe_target(scene: Scene) -> dict[str, object]:
 def _pairing(tank: Tank) -> dict[str, object]:
     """Return the blocks `surface` and `velocity` of the experiment file, which name cameras.
 
-    The most upright camera forms a pair with every other camera. These other cameras measure the velocity;
-    with two cameras, both do. With one camera the result is empty.
+    The most upright camera forms a pair with each other camera, for the elevation. The other cameras measure
+    the velocity; if there are only two cameras, both do. With one camera the result is empty.
     """
     names = list(tank.rig)
     if len(names) < 2:
