@@ -46,7 +46,11 @@ def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
 
 
 def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
-    """Return a grey image, (row, column), from an open file; `name` is its name in messages."""
+    """Return a grey image, (row, column), from an open file; FrameError if it is damaged or unknown.
+
+    `name` is the file's name in messages. `page` is the index of an image in a TIFF file, needed if it has
+    several.
+    """
     start = stream.read(4)
     stream.seek(0)
     if start in tiff.STARTS:
@@ -73,7 +77,10 @@ def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
 
 
 def _decode(data: bytes, start: bytes) -> np.ndarray | None:
-    """Return an image from a file's bytes, colours as RGB; None if `start`, its first bytes, is unknown."""
+    """Return the image in the bytes of a PNG, JPEG or BMP file: (row, column) or (row, column, RGB).
+
+    `start` is the first bytes of the file, which tell the format; None if they are of another format.
+    """
     if start == PNG:
         return np.asarray(imagecodecs.png_decode(data))
     if start[:3] == JPEG:  # strict: warnings of libjpeg, such as truncated data, are errors
@@ -98,8 +105,10 @@ def _unknown(name: str, start: bytes) -> str:
 
 
 def grey(image: np.ndarray) -> np.ndarray:
-    """Return the luminance of an image (row, column, red-green-blue), in its type; alpha is ignored.
-    An image (row, column) is returned as it is; of one or two channels the first is returned.
+    """Return the luminance, (row, column), of an image (row, column, channel), in the image's type.
+
+    The channels are red, green, blue and possibly alpha, which is ignored. An image of one or two channels
+    gives its first channel; an image (row, column) is returned unchanged.
     """
     if image.ndim == 2:
         return image
@@ -124,11 +133,11 @@ def _quiet() -> Iterator[None]:
 
 
 def write_image(path: str | Path, image: np.ndarray, product: Product | None = None) -> None:
-    """Write one grey image, (row, column), completely or not at all; the ending of `path` gives the format.
+    """Write one grey image, (row, column), completely or not at all; the ending of `path` is the format.
 
-    ``.tif`` is written uncompressed; other endings, such as ``.png``, by OpenCV. With a `product` an existing
-    file is replaced only if it is the same product, without it any plain file is. FrameError if it cannot be
-    written.
+    TIFF is written uncompressed, and other formats, such as ``.png``, by OpenCV. Without a `product` any
+    plain file at `path` is replaced. With a `product` a file is replaced only if it is the same product,
+    unchanged. FrameError if the image cannot be written.
     """
     path = Path(path)
     try:
@@ -146,9 +155,10 @@ def write_image(path: str | Path, image: np.ndarray, product: Product | None = N
 
 
 def fill_masked(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """Return a copy of an image, (row, column), with masked pixels set to the median grey of the others.
+    """Return a copy of an image, (row, column), in which masked pixels have the median grey level.
 
-    `covered` is true at masked pixels, (row, column). The median is that of every eighth pixel.
+    `covered` (row, column) is true at masked pixels. The median is over every eighth row and column of the
+    other pixels.
 
     Examples
     --------

@@ -26,10 +26,10 @@ PAGES_TRIED = 4  # pages that are tested for thumbnails: if none of these is one
 
 
 class TiffImages:
-    """The images of a TIFF file, (row, column) or (row, column, red-green-blue); thumbnails are left out.
+    """The images of a TIFF file, (row, column) or (row, column, RGB), without its thumbnails.
 
-    `source` is a path or an open file, `name` its name in messages. FrameError if it is not a sound TIFF.
-    ImageJ's stacks beyond 4 GB have one directory for all images, which follow one another.
+    `source` is a path or an open file, `name` the file's name in messages. FrameError if it is not a valid
+    TIFF file. ImageJ's stacks beyond 4 GB are read too; they describe only their first image.
     """
 
     def __init__(self, source: str | BinaryIO, name: str) -> None:
@@ -50,7 +50,10 @@ class TiffImages:
         self.count = stacked if self._stacked else len(self._pages)
 
     def read(self, index: int) -> NDArray[Any]:
-        """Return the image at an index from 0; FrameError if it is absent, damaged or not supported."""
+        """Return the image at an index from 0, (row, column) or (row, column, RGB).
+
+        FrameError if the image is absent, damaged or of an unsupported kind.
+        """
         try:
             number = index if self._stacked else self._pages[index]
             page: Any = self.file.pages[0 if self._stacked else number]
@@ -95,8 +98,9 @@ def _is_frame(page: tifffile.TiffPage) -> bool:
 
 
 def refuse_page(page: Any, name: str) -> None:
-    """Raise FrameError unless a page is a grey or colour image of real numbers in a supported compression.
-    `name` is that of the file.
+    """Raise FrameError unless a page is a grey or colour image of real numbers that can be decoded.
+
+    `page` is a page of tifffile, `name` the file's name in messages.
     """
     if page.dtype is not None and page.dtype.kind == "c":
         raise FrameError(f"{name} has complex pixels; save their magnitudes")
@@ -122,8 +126,10 @@ def _words(code: Any) -> str:
 
 
 def _refuse_missing_parts(page: Any, size: int) -> None:
-    """Raise ValueError if parts of a page are empty or beyond the file's `size`, bytes.
-    Such strips or tiles would be zeros for tifffile.
+    """Raise ValueError if pixels of a page are missing in the file, of `size` bytes.
+
+    Without this check tifffile would return zeros for strips or tiles that are empty or beyond the end of the
+    file.
     """
     ends = [start + count for start, count in zip(page.dataoffsets, page.databytecounts)]
     if not ends or min(page.databytecounts) == 0 or max(ends) > size:
@@ -131,8 +137,11 @@ def _refuse_missing_parts(page: Any, size: int) -> None:
 
 
 def _as_bright(page: Any, image: NDArray[Any], name: str) -> NDArray[Any]:
-    """Return the decoded image of a page as displayed: (row, column) or (row, column, red-green-blue).
-    Alpha is left out, a palette is applied, MinIsWhite is inverted, and bits become 0 or 255.
+    """Return the decoded image of a page so that large values are bright: (row, column[, RGB]).
+
+    Alpha is dropped, a palette is applied, an image in which 0 is white is inverted, and single bits become 0
+    or 255. `name` is the file's name in messages. FrameError if an image in which 0 is white has signed
+    numbers.
     """
     if image.ndim == 3 and page.planarconfig == tifffile.PLANARCONFIG.SEPARATE:
         image = np.moveaxis(image, 0, -1)

@@ -26,12 +26,13 @@ DEPARTURE_STEP = 1e-4  # intervals: delays are rounded to this, which changes ve
 
 
 def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times | None:
-    """Return the times of a camera's images from its recordings, (n,), s, in order.
+    """Return the times of a camera's images, (n,), s, as stated by its recordings.
 
-    None if a file is not a recording or has no times, or if the times do not increase. `folder` is that of
-    the images, `frame_rate` in Hz. The times of a video are those of the playback; they are scaled so that
-    the usual interval is one frame. ExperimentError if the time stamps of another recording contradict the
-    frame rate.
+    `images` is the camera's entry in the experiment file, `folder` the folder of the images, and `frame_rate`
+    is in Hz. A video states playback times, which are scaled so that the usual interval is one frame
+    interval. Returns None if a file is not a recording or has no times, if there are several videos, or if
+    the times do not increase. ExperimentError if the time stamps of a recording other than a video contradict
+    the frame rate.
     """
     parts, paths = [], recordings_of(images, camera, folder)
     for path in paths:
@@ -57,8 +58,10 @@ def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> T
 def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     """Raise ExperimentError if increasing time stamps, (n,), s, contradict a frame rate, Hz.
 
-    `words` begin the message and contain ``{rate:g}`` for the rate by the stamps. The tolerance is 1 %, or
-    the uncertainty of the mean interval if that is larger: the range of the intervals over their number.
+    The mean interval between time stamps, without intervals across dropped frames, may differ by 1 % from the
+    frame interval. It may differ by its own uncertainty if that is larger: the largest minus the smallest
+    interval, divided by the number of intervals. The message begins with `words`, in which ``{rate:g}`` is
+    replaced by the rate of the time stamps.
     """
     usual = usual_intervals(times)
     if not len(usual):
@@ -75,7 +78,9 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
 
 
 def read_time_stamps(path: Path, camera: str) -> Times:
-    """Return the times in a file of time stamps, (n,), s: one per line, or the column `time` of a CSV.
+    """Return the times in a file of time stamps, (n,), s.
+
+    The file has one time per line, or is a CSV file with a column ``time``. `camera` is named in messages.
     ExperimentError if the file cannot be read, or if its times are not increasing numbers.
     """
     times: list[float] = []
@@ -101,11 +106,12 @@ def read_time_stamps(path: Path, camera: str) -> Times:
 def place_by_time(
     numbered: Numbered, times: Times, start: float, frame_rate: float, path: Path, camera: str
 ) -> Numbered:
-    """Return the frames of a camera, numbered by their time stamps so that dropped frames leave gaps.
+    """Return a camera's frames renumbered from their time stamps; dropped frames leave gaps.
 
-    `numbered` are the frames by their old numbers, `times` (n,) their stamps, s, in order; the frame at the
-    time `start` gets number 0. ExperimentError if there is not one stamp per frame, or if stamps do not fit
-    the frame rate, Hz. `path` (of the stamps) and `camera` are for messages.
+    `numbered` maps the previous frame numbers to the frames, and `times` (n,) are their time stamps, s, in
+    the order of these numbers. A frame at the time `start`, s, gets number 0. `path` (file of the time
+    stamps) and `camera` are named in messages. ExperimentError if there is not one time stamp per frame, or
+    if the time stamps do not fit `frame_rate`, Hz.
     """
     if len(times) != len(numbered):
         raise ExperimentError(
@@ -124,11 +130,12 @@ def place_by_time(
 
 
 def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
-    """Return the frames of a camera, numbered by their times so that dropped frames leave gaps.
+    """Return a camera's frames renumbered from their times; dropped frames leave gaps.
 
-    `numbered` are the frames by their old numbers, `times` (n,) their times, s, in order. The first frame
-    keeps its number. The numbers of two frames in turn differ by their interval over the usual interval,
-    rounded. All frames keep their numbers if an interval is not near a whole multiple of the usual one.
+    `numbered` maps the previous frame numbers to the frames, and `times` (n,) are their times, s, in the
+    order of these numbers. The first frame keeps its number. Each further number exceeds the one before by
+    the interval between the two frames over the usual interval, rounded. All frames keep their numbers if an
+    interval is not near a multiple of the usual one, or if the new numbers span over 100 times the frames.
 
     Examples
     --------
@@ -149,9 +156,10 @@ def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
 def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
     """Return the delay of each frame relative to even times, (n,), in frame intervals.
 
-    None if the times are even or no camera has usable times. The delay is the mean over the cameras' clocks,
-    each without its own offset and rate. Cameras are triggered together, so differences between their clocks
-    are noise of the stamps; the mean is scaled down by the estimated share of this noise.
+    `series` are the frames by camera. The delay is the mean over the cameras' clocks, after the offset and
+    the rate of each clock are removed. The cameras are triggered together, so differences between their
+    clocks are noise of the time stamps; the mean is scaled down by the estimated share of this noise. Returns
+    None if the times are even or if no camera has usable times.
     """
     each = [
         found
@@ -173,11 +181,12 @@ def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
 
 
 def departures_by_clock(times: Times) -> Times | None:
-    """Return the delay of each frame by one clock, (n,), in frame intervals, from its times (n,), s.
+    """Return the delay of each frame relative to even times, (n,), in frame intervals, by one clock.
 
-    A delay is the distance from the regression line of time on frame number; NaN for frames without a time.
-    All are 0 if none exceeds the resolution of the stamps. None if there are fewer than three times, or if a
-    delay exceeds a quarter of an interval.
+    `times` (n,), s, are NaN for frames without a time, and so are their delays. A delay is the distance of a
+    time from the regression line of time on frame number. All delays are 0 if none exceeds the resolution of
+    the times. Returns None if there are fewer than three times, or if a delay exceeds a quarter of an
+    interval.
 
     Examples
     --------
@@ -200,7 +209,7 @@ def departures_by_clock(times: Times) -> Times | None:
 
 
 def _resolution(times: Times) -> float:
-    """Return the largest power of ten, 0.1 s to 1 us, of which all times are multiples; 0 without one."""
+    """Return the largest of 0.1 s, 0.01 s, ... 1 us of which all times, s, are multiples; 0 if none is."""
     for step in 10.0 ** -np.arange(1, 7):
         if np.abs(times / step - np.rint(times / step)).max() < 1e-3:
             return float(step)
@@ -210,14 +219,16 @@ def _resolution(times: Times) -> float:
 class Stated(NamedTuple):
     """Properties of a recording, from its header."""
 
-    rate: float | None  # Frames per second, of a video that of the playback; None if it has none
+    rate: float | None  # Frames per second (for a video, of its playback); None if not stated
     is_video: bool
     rotation: int  # Rotation of a video for display, degrees; frames are read as stored
 
 
 def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[str, Stated]:
-    """Return the properties of each camera's first recording, by camera; others are left out.
-    `cameras` is the block of the experiment file as plain data, `folder` that of the images.
+    """Return the properties of each camera's first recording, by the camera's name.
+
+    Cameras without readable recordings are left out. `cameras` is the block ``cameras`` of the experiment
+    file as plain data, `folder` the folder of the images.
     """
     found = {}
     for name, camera in cameras.items():
@@ -235,13 +246,15 @@ def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[st
 
 
 def is_video(path: Path) -> bool:
-    """Whether a path ends as a video does; the times of a video are those of the playback."""
+    """Whether the ending of a file name is that of a video, whose times are those of the playback."""
     return path.suffix.lower() in VIDEO_ENDINGS
 
 
 def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
-    """Return the paths of a camera's recordings, in order; empty if any of its files is not a recording.
-    `images` is the camera's entry in the experiment file, `folder` that of the images.
+    """Return the paths of a camera's recordings, in order; empty if one of its files is not a recording.
+
+    `images` is the camera's entry in the experiment file, `folder` the folder of the images. Only the names
+    are looked at; the files need not exist.
     """
     names = images if isinstance(images, list) else [images]
     paths = [folder / name.replace("{camera}", camera) for name in names if isinstance(name, str)]
@@ -249,8 +262,10 @@ def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
-    """Return the frame rate, Hz, that all recordings share, from the rate of each camera; None without any.
-    ExperimentError if two rates differ by more than 1 %; `path` is the experiment file.
+    """Return the frame rate, Hz, that the recordings of all cameras share; None if `rates` is empty.
+
+    `rates` maps camera names to the frame rates of the recordings. ExperimentError if a rate differs from the
+    first one by more than 1 %. `path` is the experiment file, named in the message.
     """
     if not rates:
         return None

@@ -39,7 +39,7 @@ class FrameArray(BackendArray):
         return out
 
     def _read(self, key: tuple[int | slice | np.ndarray, ...]) -> np.ndarray:
-        """Return the values at a key for time, row and column."""
+        """Return the values at `key`: an index, slice or array of indices for time, row and column."""
         time, inside = key[0], key[1:]
         if isinstance(time, int | np.integer):
             return np.asarray(self._frame(int(time))[inside])
@@ -78,9 +78,10 @@ class ExperimentBackend(BackendEntrypoint):
         drop_variables: str | Iterable[str] | None = None,
         group: str | None = None,
     ) -> xr.Dataset:
-        """Open a cube, smoothed fields, or one camera of an experiment file (``group="cam1"``).
+        """Open a cube, smoothed fields, or the images of one camera of an experiment file (``group="cam1"``).
 
-        StoreError if a store is damaged or of another kind; ValueError if the camera is not named.
+        ValueError if an experiment file is opened without the name of one of its cameras. StoreError if a
+        store is damaged, or is neither a cube nor smoothed fields.
         """
         path = Path(str(filename_or_obj).removeprefix("file://"))
         if path.is_file():
@@ -116,7 +117,7 @@ class ExperimentBackend(BackendEntrypoint):
 
 
 def _cube(path: Path) -> xr.Dataset:
-    """Return a cube as `open_cube` does; with ``chunks={}`` xarray then uses the chunks of the store."""
+    """Return a cube as `open_cube` does; ``chunks={}`` then gives chunks of ``steps_per_block`` steps."""
     cube = open_cube(path, None)
     for variable in cube.variables.values():
         if "time" in variable.dims:
@@ -126,7 +127,11 @@ def _cube(path: Path) -> xr.Dataset:
 
 
 def _smoothed(path: Path) -> xr.Dataset:
-    """Return smoothed fields; StoreError if a file was lost or changed (Zarr would give missing values)."""
+    """Return the fields that `wavefield smooth` wrote to `path`, as a lazy Dataset.
+
+    StoreError if it is another kind of store, or if a file in it was lost or changed; Zarr alone would return
+    missing values for a lost file.
+    """
     mark = read_mark(path)
     if mark is None or mark.kind != "smoothed fields":
         what = "is not as it was written: make it again" if mark is None else f"is a {mark.kind}"
@@ -136,7 +141,11 @@ def _smoothed(path: Path) -> xr.Dataset:
 
 
 def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
-    """Return the images of one camera, whether each is present, and the delays of the frames if any."""
+    """Return a Dataset of one camera: ``image`` (time, row, column) and ``present`` (time).
+
+    `departures` are the delays of the frames, (n,), in frame intervals; they become the coordinate
+    ``departure``. Without departures the coordinate is left out.
+    """
     array = FrameArray(series)
     image = xr.Variable(
         ("time", "row", "column"),

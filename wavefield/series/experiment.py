@@ -271,7 +271,7 @@ class Experiment(RecordSection):
 
     @property
     def rig_paths(self) -> list[Path]:
-        """Files that the rig is read from; ``rig.yaml`` next to the experiment file if it names no rig."""
+        """Absolute paths of the rig files in the experiment file; by default of ``rig.yaml`` next to it."""
         named = list(self.rig.values()) if isinstance(self.rig, dict) else [self.rig or "rig.yaml"]
         return [self.resolve(file) for file in named]
 
@@ -355,8 +355,10 @@ class Experiment(RecordSection):
 
 
 def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries) -> None:
-    """Raise RigError if a rig was made for images of another size than those of a series.
-    `source` names the rig, `size` is its (width, height). The message tells if axes are in another order.
+    """Raise RigError if a rig was made for images of another size than those of one camera.
+
+    `source` names the rig in messages, `size` is the (width, height) in px that the rig states, and `series`
+    are the frames of the camera. The message says so if the axes of the images are in another order.
     """
     rows, columns = series.shape
     if size == (columns, rows):
@@ -375,7 +377,10 @@ def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries
 
 
 def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
-    """Raise RigError if two of the named cameras are at the same position; rigs of lenses alone pass."""
+    """Raise RigError if two of the named cameras are at the same position.
+
+    `source` names the rig in messages. A rig that has only lens parameters is not checked.
+    """
     if rig.lenses_alone:
         return
     for k, one in enumerate(names):
@@ -386,8 +391,10 @@ def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
 
 
 def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, float] | None:
-    """Return the elevations at which an automatic grid stays in view, m: (low, high), or the height h of
-    -h to h; None if the settings have neither `z_range` nor `sheet_thickness`.
+    """Return the elevations, m, at which an automatic grid has to stay in the cameras' view.
+
+    The setting `z_range` gives a pair (low, high). The setting `sheet_thickness` gives a number h, half the
+    thickness, for elevations from -h to h. Returns None if neither is set.
     """
     try:
         if settings.get("z_range"):

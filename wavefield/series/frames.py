@@ -26,13 +26,16 @@ class CameraMask:
     images: tuple[FrameEntry, ...] = ()  # Images of the same size; pixels that are not black are masked
 
     def covered(self) -> NDArray[np.bool_]:
-        """Return where pixels are masked, (row, column); FrameError if a mask image is bad."""
+        """Return a mask (row, column), true at masked pixels; FrameError if a mask image is bad."""
         return _covered(self)
 
 
 @lru_cache(maxsize=16)
 def _covered(mask: CameraMask) -> NDArray[np.bool_]:
-    """Return where pixels are masked, (row, column), read-only; the last 16 masks are kept."""
+    """Return a mask (row, column), read-only, true at masked pixels; the last 16 masks are kept in memory.
+
+    FrameError if a mask image cannot be read or has another size than the camera's images.
+    """
     drawn = np.zeros(mask.shape, np.uint8)
     for outline in mask.outlines:
         cv2.fillPoly(drawn, [np.rint(outline).astype(np.int32)], 1)
@@ -143,7 +146,10 @@ class FrameSeries:
         return frame._replace(image=subtracted(frame.image, self.background))
 
     def covered(self, index: int) -> NDArray[np.bool_] | None:
-        """Return where pixels are masked, (row, column), the same at every index; None without a mask."""
+        """Return a mask (row, column), true at masked pixels; None if the camera has no mask.
+
+        The mask is the same at every `index`. FrameError if a mask image is bad.
+        """
         return None if self.mask is None else self.mask.covered()
 
     def read_uncovered(self, index: int) -> np.ndarray | None:
@@ -190,8 +196,9 @@ def subtracted(image: NDArray[Any], background: NDArray[Any]) -> NDArray[Any]:
 
 
 def check_content(image: np.ndarray, place: str) -> Frame:
-    """Return an image as a frame; with a fault if it is blank or has pixels that are not finite.
-    `place` names the frame in messages.
+    """Return an image as a `Frame`, with a fault if it is blank or has pixels that are not finite.
+
+    `place` is the text that names the frame in the message.
     """
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())

@@ -48,8 +48,10 @@ class MaskSection(ConfigSection):
 
 
 def normalized(masks: object, cameras: Collection[str]) -> object:
-    """Return the block ``mask`` of an experiment file with its short forms written out, as plain data.
-    ValueError if it names neither a camera nor ``water``.
+    """Return the block ``mask`` of an experiment file as plain data: a list of mappings for each key.
+
+    A single entry becomes a list of one, and a file name becomes ``{"image": name}``. ValueError if a key is
+    neither one of `cameras` nor ``water``.
     """
     if not isinstance(masks, Mapping):
         return masks
@@ -79,10 +81,11 @@ def covered_series(
     rig: Rig,
     folder: Path,
 ) -> dict[str, FrameSeries]:
-    """Return the series with their masks: those of each camera, and those on the water as it sees them.
+    """Return the frames of each camera with the camera's own masks and the masks on the water.
 
-    `masks` is the block ``mask`` of the experiment file, `folder` that of its mask images. ExperimentError if
-    a mask image is missing or of another size, a polygon is outside the image, or all of an image is masked.
+    `masks` is the block ``mask`` of the experiment file, `folder` the folder of its mask images. The `rig`
+    projects masks on the water into the images. ExperimentError if a mask image is missing or of another
+    size, if a polygon is outside the image, or if the masks cover a whole image.
     """
     out = {}
     for name, frames in series.items():
@@ -124,7 +127,10 @@ def _file(name: str, path: Path) -> FrameEntry:
 
 
 def _in_image(name: str, polygon: Sequence[tuple[float, float]], size: tuple[int, int]) -> Outline:
-    """Return a polygon (column, row), px; ExperimentError if outside an image of `size` (rows, columns)."""
+    """Return the polygon, (column, row) in px, of the mask of a camera (`name`) as an outline.
+
+    ExperimentError if it is outside an image of `size` (rows, columns).
+    """
     (left, top), (right, bottom) = np.min(polygon, axis=0), np.max(polygon, axis=0)
     if right < 0 or bottom < 0 or left > size[1] - 1 or top > size[0] - 1:
         raise ExperimentError(
@@ -135,7 +141,10 @@ def _in_image(name: str, polygon: Sequence[tuple[float, float]], size: tuple[int
 
 
 def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
-    """Return the outline (column, row), px, in a camera's image of a mask on the water; empty out of view."""
+    """Return the outline of a mask on the water, as (column, row) in px of a camera's image.
+
+    The water is taken at z = 0. The outline is empty if the mask is out of the camera's view.
+    """
     p = np.array(shape.polygon)
     t = np.arange(POINTS_PER_SIDE)[:, None] / POINTS_PER_SIDE
     edge = np.concatenate([a + t * (b - a) for a, b in zip(p, np.roll(p, -1, axis=0))])
@@ -150,7 +159,11 @@ def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
 
 
 def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, list[dict[str, object]]]:
-    """Return masks as plain data for a recipe, with a checksum of each mask image; `folder` is theirs."""
+    """Return masks as plain data for the recipe of a cube, by camera or ``water``.
+
+    Each mask image has a checksum of its file as the entry ``content``. `folder` is the folder of mask
+    images.
+    """
     out: dict[str, list[dict[str, object]]] = {}
     for name, shapes in masks.items():
         out[name] = [shape.model_dump(exclude_none=True, mode="json") for shape in shapes]

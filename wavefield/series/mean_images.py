@@ -19,8 +19,10 @@ Image = NDArray[Any]
 
 
 def mean_image(series: FrameSeries, frames: int) -> Image:
-    """Return the mean of `frames` evenly spaced frames, (row, column), in their type; bad ones are left out.
-    FrameError if none of them can be read.
+    """Return the mean of evenly spaced frames of a camera, (row, column), in the type of the frames.
+
+    `frames` is the number of frames to average; bad frames among them are left out. FrameError if none of
+    them can be read.
     """
     total, count = np.zeros(series.shape), 0
     for index in evenly_spaced(len(series), frames):
@@ -78,8 +80,10 @@ def with_backgrounds(
     resolve: Callable[[str], Path],
     experiment: Path,
 ) -> dict[str, FrameSeries]:
-    """Return the series with the backgrounds that they subtract from their frames.
-    Arguments and errors are those of `read_backgrounds` and `refuse_other_images`.
+    """Return the frames of each camera, from which the camera's background will be subtracted.
+
+    `series` are the frames by camera. The other arguments are as for `read_backgrounds`. ExperimentError if a
+    background cannot be read, or differs from the frames in shape or type.
     """
     images = read_backgrounds(named, series, resolve, experiment)
     for name, image in images.items():

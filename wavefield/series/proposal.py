@@ -72,11 +72,11 @@ def image_paths(folder: Path) -> list[str]:
 
 
 def find_series(paths: Sequence[str]) -> list[NumberedImages]:
-    """Return the series of numbered images among `paths`, wherever in the names the frame number is.
+    """Return the series of numbered images among `paths`, sorted by the patterns of their names.
 
-    Names that differ in their numbers only are compared. The frame number is the number with the most
-    different values. If it differs in every name, other numbers that vary (a time, say) become ``*`` in the
-    pattern; else each combination of the other numbers is a series of its own.
+    Names that differ only in digits are compared. The frame number is the group of digits that has the most
+    different values. If no two names share a frame number, other groups that vary (such as a time) become
+    ``*`` in the pattern. Otherwise each combination of the other groups is a series of its own.
     """
     alike: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for path in paths:
@@ -102,7 +102,11 @@ def find_series(paths: Sequence[str]) -> list[NumberedImages]:
 
 
 def camera_names(patterns: Sequence[str]) -> list[str]:
-    """Return a camera name for each pattern: its folder if all are distinct words, else cam1, cam2, ..."""
+    """Return a camera name for each pattern, in order.
+
+    The names are those of the folders that contain the images, if these are distinct words; otherwise cam1,
+    cam2, ...
+    """
     folders = [pattern.rpartition("/")[0].rpartition("/")[2] for pattern in patterns]
     words = {folder for folder in folders if re.fullmatch("[A-Za-z][A-Za-z0-9_]+", folder)}
     return folders if len(words) == len(patterns) else [f"cam{k}" for k in range(1, len(patterns) + 1)]

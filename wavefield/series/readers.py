@@ -89,7 +89,11 @@ def close_files() -> None:
 
 
 def _kept_open(path: str) -> _Images:
-    """Return the open file of a path, and keep it open; of over eight the least recently used is closed."""
+    """Return the open file of a path, and keep it open for later calls.
+
+    If more than eight files are open, the least recently used one is closed. FrameError if the file is
+    missing or damaged.
+    """
     try:
         key = path, os.stat(path).st_mtime_ns  # a file that was copied again is opened again
     except OSError:

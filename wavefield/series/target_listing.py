@@ -12,8 +12,10 @@ from wavefield.series.experiment import Experiment
 
 
 def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
-    """Return the target images of an experiment by camera and pose; the pose on z = 0 is called ``flat``.
-    CalibrationError if the experiment has no calibration block, or a camera no image.
+    """Return the paths of the target images, by camera and by pose.
+
+    A pose is named by the part of the file name that varies; the pose on z = 0 is called ``flat``.
+    CalibrationError if the experiment has no calibration block, or if a camera has no target image.
     """
     section = experiment.calibration
     if section is None and experiment.rig is not None:
@@ -50,7 +52,11 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
 
 
 def _without_cameras(views: dict[str, dict[str, Path]]) -> dict[str, dict[str, Path]]:
-    """Return the views with the camera's name cut from each pose, if all poses begin so (left/left1.jpg)."""
+    """Return `views` (path by camera and pose), with the camera's name cut from the start of each pose.
+
+    Images such as left/left1.jpg repeat the camera's name. Poses stay as they are unless all begin with the
+    name and remain distinct without it.
+    """
     repeated = all(
         pose == "flat" or (pose.startswith(camera) and pose != camera and not camera.isdigit())
         for camera, poses in views.items()
@@ -73,7 +79,10 @@ def _no_images(experiment: Experiment, camera: str, patterns: Sequence[str]) -> 
 
 
 def _add_poses(poses: dict[str, Path], images: Iterable[tuple[str, Path]], experiment: Experiment) -> None:
-    """Add images (pose, file) to those of a camera; CalibrationError if two files have the same pose."""
+    """Add `images`, pairs (pose, path) of one camera, to its `poses`.
+
+    CalibrationError if two files have the same pose.
+    """
     for pose, path in images:
         other = poses.setdefault(pose, path)
         if other != path:
@@ -84,10 +93,10 @@ def _add_poses(poses: dict[str, Path], images: Iterable[tuple[str, Path]], exper
 
 
 def _images(experiment: Experiment, pattern: str, camera: str) -> Iterator[tuple[str, Path]]:
-    """Yield (pose, file) of each image of a camera that matches a pattern.
+    """Yield the pose and the path of each image of a camera that matches a pattern.
 
-    The pose is the text at the wildcards and around them, so it is the same in all cameras. A leading minus
-    belongs to it: plates are traversed from -3 mm to 3 mm.
+    The pose is the text that the wildcards match, with the text around them, so it is the same in all
+    cameras. A leading minus sign is kept, because a target may be moved from -3 mm to 3 mm.
     """
     folder = experiment.image_folder
     named = pattern.replace("{camera}", glob.escape(camera))

@@ -121,13 +121,16 @@ class _NamedArray(BackendArray):
         return out
 
     def _read(self, key: tuple[Any, ...]) -> np.ndarray:
-        """Return the values at a key of integers, slices or arrays, one per dimension."""
+        """Return the values at `key`: an integer, slice or array for each dimension."""
         with named_damage(self.path):
             return np.asarray(self.variable[key].values)
 
 
 def named_variable(path: Path, variable: xr.Variable) -> xr.Variable:
-    """Return the same lazy variable; an error while reading its values names `path`, that of its array."""
+    """Return a lazy variable with the same values; a failure to read them raises StoreError.
+
+    `path` is the array in the store, which the error names.
+    """
     data = indexing.LazilyIndexedArray(_NamedArray(path, variable))
     return xr.Variable(variable.dims, data, variable.attrs, variable.encoding)
 
@@ -165,7 +168,6 @@ class CubeAccessor:
         Returns
         -------
         DataArray of bool, (time, y, x)
-            True where the flag is set.
             True at nodes that have the flag.
 
         Raises
@@ -181,7 +183,7 @@ class CubeAccessor:
 
     @property
     def gain(self) -> xr.Dataset:
-        """Amplitude response of the measurement to waves: ``gain_z``, ``gain_u``, ..., (direction, k)."""
+        """Gain (measured over true amplitude) for waves: ``gain_z``, ``gain_u``, ..., each (direction, k)."""
         names = [f"gain_{name}" for name in "zuvw" if f"gain_{name}" in self._cube]
         return self._cube[names].reset_coords(names)
 

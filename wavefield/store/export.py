@@ -34,12 +34,15 @@ _UVMAT_ROLES = {  # variable of the cube: name and role in UVMAT
 
 
 class _Hdf5File(io.FileIO):
-    """A file for the HDF5 library, which crashes if a write fails; `failure` keeps the first error."""
+    """A file object for the HDF5 library, which would crash if a write failed.
+
+    Write errors are not raised; the first is kept in `failure`.
+    """
 
     failure: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write all of the data, or keep the error; return the size of the data in either case."""
+        """Write `data`, and return its size in bytes; an OSError is kept in `failure` instead of raised."""
         left = memoryview(data).cast("B")
         size = len(left)
         while left and self.failure is None:
@@ -50,7 +53,7 @@ class _Hdf5File(io.FileIO):
         return size
 
     def truncate(self, size: int | None = None) -> int:
-        """Change the size, bytes, or keep the error; return the size."""
+        """Change the file's size, bytes, and return it; an OSError is kept in `failure` instead of raised."""
         try:
             return super().truncate(size)
         except OSError as error:
@@ -125,13 +128,18 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
 
 
 def _product(kind: str, cube: "xr.Dataset") -> Product | None:
-    """Return the mark of a NetCDF export, which may be replaced; None for other kinds: they have no mark."""
+    """Return the kind and source with which a NetCDF export is marked, so that it may be replaced later.
+
+    None for the other formats, which have no mark and are never replaced.
+    """
     return Product("netcdf export", source_of(cube)) if kind == "netcdf" else None
 
 
 def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
-    """Write a cube, or averages of one, as a NetCDF-4 file with CF attributes; `cube` is changed.
-    StoreError if the file cannot be written, or is there and is not an export of the same cube.
+    """Write a cube, or averages of a cube, as a NetCDF-4 file with CF attributes.
+
+    Attributes and encodings of `cube` are changed. StoreError if the file cannot be written, or if another
+    file that is not an export of the same cube is at `path`.
     """
     product = _product("netcdf", cube)
     cube.attrs = {
@@ -152,8 +160,9 @@ def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
 
 
 def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
-    """Write a cube as a MAT-file: fields (y, x, time), `units` and `long_name` as structs, text attributes.
-    StoreError if a variable has 2 GB or more.
+    """Write a cube as a MAT-file: fields (y, x, time), structs `units` and `long_name`, text attributes.
+
+    StoreError if a variable has 2 GB or more, or if the file cannot be written.
     """
     from scipy.io import savemat
 

@@ -55,7 +55,7 @@ CubeGroup: TypeAlias = Any  # an open cube: `zarr.Group` types arrays and groups
 
 @dataclass(frozen=True)
 class StoreLayout:
-    """Sizes of a store."""
+    """Number of steps, chunks and cameras of a cube's store."""
 
     steps: int  # Steps of the whole run; the record has one frame more
     chunk_steps: int  # Steps per chunk (shard)
@@ -81,10 +81,11 @@ def create_store(
     attributes: Mapping[str, object],
     once: Mapping[str, np.ndarray | np.floating] | None = None,
 ) -> None:
-    """Make an empty cube at `path`, complete or not at all; StoreError if something is there already.
+    """Make an empty cube at `path`, complete or not at all; StoreError if something is already there.
 
-    `x` (nx,) and `y` (ny,) are the positions of its nodes, m. `attributes` are added to those from the
-    recipe. `once` are variables that are known before the run, such as ``gain_z``.
+    `x` (nx,) and `y` (ny,) are the positions of the cube's nodes, m. `layout` has the numbers of steps,
+    chunks and cameras. `attributes` are added to those made from the recipe. `once` has variables that are
+    known before the run, such as ``gain_z``, by name.
     """
     with atomic(path) as draft, zarr.config.set(FILES_OF_ALL_CHUNKS):
         group = _lay_out(draft, recipe, x, y, layout, attributes)
@@ -163,8 +164,10 @@ def _lay_out(
 def add_array(
     group: zarr.Group, row: Variable, values: np.ndarray | np.generic | None = None, **options: Any
 ) -> None:
-    """Create the array of a variable: with `values` in one chunk, or empty with `shape` in the options.
-    `options` are those of `zarr.Group.create_array`; they replace name, type and attributes of the variable.
+    """Create the array of a variable in a group: filled with `values`, or empty.
+
+    `row` gives name, type, dimensions and attributes; `options` of `zarr.Group.create_array` replace them. An
+    array with values has a single chunk. An empty array needs ``shape`` in the options.
     """
     how: dict[str, Any] = {
         "name": row.name,
@@ -180,7 +183,7 @@ def add_array(
 
 
 def in_16_bits(values: np.ndarray, scale: float) -> np.ndarray:
-    """Return values divided by a scale as int16; `MISSING` where they are not finite or too large."""
+    """Return `values` / `scale`, rounded, as int16; `MISSING` where not finite or beyond 32767."""
     with np.errstate(invalid="ignore"):
         scaled = np.rint(values / scale)
         return np.where(np.abs(scaled) <= 32767, scaled, MISSING).astype(np.int16)

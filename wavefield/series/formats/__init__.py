@@ -35,10 +35,10 @@ __all__ = ["ENDINGS", "VIDEO_ENDINGS", "Recording", "open_recording", "recording
 
 
 def open_recording(path: str | Path) -> Recording:
-    """Open a recording and read its header, but no image unless the header gives no size (video, DaVis).
+    """Open a recording; read its header, and an image only if the header gives no size (video, DaVis).
 
-    `path` is the file, or file/name for one of several series in a file. FrameError if the file is missing,
-    damaged, or of an unknown ending.
+    `path` is a file, or file/name for one of several series in the file. FrameError if the file is missing or
+    damaged, or if its ending is unknown.
     """
     path = Path(path)
     file = recording_path(path)
@@ -61,7 +61,8 @@ def open_recording(path: str | Path) -> Recording:
 
 
 def recording_path(path: Path) -> Path | None:
-    """Return the recording's file in a path such as ``run.cine`` or ``run.h5/cam1/images``, by its ending.
-    None if no part of the path ends as a recording does; the file need not exist.
+    """Return the part of a path that names a recording file, by its ending; None if no part does.
+
+    For ``run.h5/cam1/images`` it is ``run.h5``. The file need not exist.
     """
     return next((part for part in (path, *path.parents) if part.suffix.lower() in _OPENERS), None)

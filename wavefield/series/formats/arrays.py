@@ -100,7 +100,11 @@ def open_hdf5(path: Path) -> Recording:
 
 
 def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
-    """Return the dataset named `inside`, or the only stack of images if that is empty; else FrameError."""
+    """Return a dataset of an open HDF5 file: the dataset named `inside`, or the only stack of images.
+
+    `inside` is empty if the user names no dataset; `path` is the file, named in messages. FrameError if the
+    file holds no stack of that name, or without a name not exactly one stack.
+    """
     import h5py
 
     series: list[str] = []
@@ -126,7 +130,10 @@ def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
 
 
 class ZarrImages:
-    """A Zarr array (image, row, column) on a disk or in an object store; FrameError if `path` is none."""
+    """A Zarr array (image, row, column) on a disk or in an object store.
+
+    `path` is a path or an address. FrameError if there is no such array.
+    """
 
     def __init__(self, path: str) -> None:
         self.path, self._array = path, _open_zarr(path)
@@ -144,7 +151,10 @@ class ZarrImages:
 
 
 def _open_zarr(path: str) -> Any:
-    """Return the Zarr array at a path or address, or the array `image` of a group; FrameError if it fails."""
+    """Return the Zarr array at a path or address; of a Zarr group, return its array ``image``.
+
+    FrameError if it cannot be opened or does not have three dimensions.
+    """
     import zarr  # takes long, for the few who have such images
 
     folder = Path(path)

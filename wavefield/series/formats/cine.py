@@ -68,8 +68,10 @@ def open_cine(path: Path) -> Recording:
 
 
 def _times(stream: BinaryIO, at_setup: int, at_offsets: int) -> NDArray[np.float64]:
-    """Return the times of the images, s; empty if the file has none.
-    `at_setup` and `at_offsets` are the bytes at which its SETUP and its list of images begin.
+    """Return the times of the images of an open cine file, (n,), s; empty if the file has none.
+
+    `at_setup` and `at_offsets` are the positions, in bytes, of the file's block SETUP and of its list of
+    images.
     """
     stream.seek(at_setup + _MARK)
     mark = stream.read(4)

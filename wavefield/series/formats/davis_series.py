@@ -9,7 +9,10 @@ from wavefield.series.formats.recording import Pixels, Recording, no_times, refu
 
 
 class _Set:
-    """A `Recording` of one image of every buffer of a set: image `frame`, from 0, of each .im7 file."""
+    """A `Recording` that consists of one image of each buffer (.im7 file) of a DaVis set.
+
+    `frame` is the index, from 0, of this image in every buffer.
+    """
 
     def __init__(self, path: Path, buffers: list[Path], frame: int) -> None:
         self.path, self._buffers, self._frame = path, buffers, frame
@@ -20,7 +23,7 @@ class _Set:
         self.times = no_times
 
     def read(self, index: int) -> Pixels:
-        """Return the image of a buffer, by its index from 0, (row, column); FrameError if that fails."""
+        """Return the image of the buffer at an index from 0, (row, column); FrameError if that fails."""
         refuse_index(index, self.count, self.path)
         return read_buffer(self._buffers[index], self._frame)
 
@@ -29,8 +32,10 @@ class _Set:
 
 
 def open_davis(path: Path) -> Recording:
-    """Open a set of DaVis, ``run.set``, or ``run.set/1`` for the second image of each buffer.
-    FrameError if buffers are missing or damaged, or if the path does not tell which of several images.
+    """Open a DaVis set, ``run.set``, or ``run.set/1`` for the second image of each of its buffers.
+
+    FrameError if buffers are missing or damaged, or if the buffers have several images and the path does not
+    tell which one to read.
     """
     name = path if path.suffix.lower() == ".set" else path.parent
     folder = name.with_suffix("")
@@ -47,8 +52,10 @@ def open_davis(path: Path) -> Recording:
 
 
 def _in_order(buffers: list[Path]) -> list[Path]:
-    """Sort buffers by the number at the end of their names; a missing number gets the path it should have.
-    Names without a number of up to six digits are sorted as text.
+    """Return the paths of buffers sorted by the number at the end of their names.
+
+    A number that is missing in between gets the path that its file should have, so that reading it fails. If
+    a name does not end in a number of up to six digits, all are sorted as text.
     """
     ends = [re.search(r"(?<!\d)\d{1,6}$", path.stem) for path in buffers]
     numbered = {int(end[0]): path for end, path in zip(ends, buffers) if end}

@@ -58,7 +58,7 @@ def open_photron(path: Path) -> Recording:
 
 
 def _with_ending(path: Path, *endings: str) -> Path | None:
-    """Return the first existing file of a path's name with one of the endings; None if there is none."""
+    """Return `path` with the first of `endings` for which such a file exists; None if there is none."""
     return next((file for file in map(path.with_suffix, endings) if file.is_file()), None)
 
 
@@ -81,7 +81,10 @@ def _read_text(path: Path) -> dict[str, str]:
 
 
 def _read_xml(path: Path) -> dict[str, str]:
-    """Return the entries of a .cihx file, by their names in a .cih; FrameError if its XML is damaged."""
+    """Return the entries of a .cihx file as text; the keys are the names that a .cih file uses.
+
+    FrameError if the XML is damaged.
+    """
     data = path.read_bytes()
     xml = re.search(rb"<cih>.*</cih>", data, re.DOTALL)
     if not xml:

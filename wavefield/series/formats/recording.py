@@ -96,8 +96,10 @@ class RawRecording:
 
 
 def usual_intervals(times: Times) -> Times:
-    """Return the intervals between times, s, that differ by less than half from their median.
-    Intervals across dropped images are thus left out; empty if the median is not positive.
+    """Return the intervals between successive times, s, without those across dropped images.
+
+    They are the intervals that differ from the median interval by less than half of it. The array is empty if
+    the median is not positive.
     """
     intervals = np.diff(times)
     middle = float(np.median(intervals)) if len(intervals) else 0.0
@@ -105,7 +107,7 @@ def usual_intervals(times: Times) -> Times:
 
 
 def usual_interval(times: Times) -> float:
-    """Return the mean interval between times, s, without those across dropped images; 0 if none is left."""
+    """Return the mean of `usual_intervals`: the interval between images, s; 0 if there are none."""
     usual = usual_intervals(times)
     return float(usual.mean()) if len(usual) else 0.0
 
@@ -117,7 +119,10 @@ def refuse_index(index: int, count: int, path: Path) -> None:
 
 
 def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
-    """Return (rows, columns); FrameError if a size is not between 1 and 65536, as in a damaged header."""
+    """Return (rows, columns) from the `width` and `height` in a file's header, px.
+
+    FrameError if one of them is not between 1 and 65536, as in a damaged header.
+    """
     if not (0 < width <= 65536 and 0 < height <= 65536):
         raise FrameError(f"{path} has images of {width} x {height} px by its header, which is damaged")
     return height, width
@@ -136,10 +141,11 @@ def complete_images(path: Path, count: int, start: Callable[[int], int], each: i
 def pixels(
     shape: tuple[int, int], bits: int, *, upside_down: bool = False
 ) -> tuple[Callable[[Stream], Pixels], int]:
-    """Return a function that reads an image from an open file, and the number of bytes of an image.
+    """Return a function that reads an image from an open file, and the number of bytes per image.
 
-    `shape` is (rows, columns), `bits` the bits per pixel. Pixels of 8 or 16 bits have whole bytes; others are
-    packed, with the highest bit first. `upside_down`: the file begins with the lowest row (not if packed).
+    `shape` is (rows, columns), `bits` the bits per pixel. Pixels of 8 or 16 bits take one or two bytes;
+    others are packed without gaps, highest bit first. `upside_down` says that the file begins with the lowest
+    row (without effect on packed pixels).
     """
     count = shape[0] * shape[1]
     size = (count * bits + 7) // 8

@@ -20,7 +20,8 @@ UNTIMED = (".avi",)  # containers without presentation times: compressed frames 
 
 class Video:
     """The frames of a video as a `Recording`; frames that the container marks as not shown are left out.
-    FrameError if it cannot be read as a video.
+
+    FrameError if the file cannot be read as a video.
     """
 
     def __init__(self, path: Path) -> None:
@@ -51,7 +52,7 @@ class Video:
         self.shape = (image.shape[0], image.shape[1])
 
     def _open(self) -> None:
-        """Open the file and its first video stream; FrameError if that fails."""
+        """Open the file and choose its first video stream; FrameError if that fails."""
         try:
             self._container = av.open(str(self.path))
             self._stream = self._container.streams.video[0]
@@ -62,14 +63,14 @@ class Video:
         self._stream.thread_type = "AUTO"
 
     def _decoded(self) -> Any:
-        """Yield the frames from here on, until the end or until damage."""
+        """Yield the decoded frames from the current position, until the end of the file or until damage."""
         try:
             yield from self._container.decode(self._stream)
         except (av.FFmpegError, ValueError):
             return  # what follows damage is not decoded
 
     def _rewind(self) -> None:
-        """Open the file again, at its first frame."""
+        """Open the file again, so that the next frame decoded is the first."""
         self._container.close()
         self._open()
         self._frames, self._next = self._decoded(), 0
@@ -80,7 +81,10 @@ class Video:
         return np.array(self._stamps, float) * float(base or 1.0) - self._stamps[0] * float(base or 1.0)
 
     def _rate(self, times: Times) -> float | None:
-        """Return the frames per second from `times`, s, to four digits; without times the nominal rate."""
+        """Return the frames per second, from `times`, s, with four digits, or else as the container states.
+
+        None if neither is known.
+        """
         if self._timed and self.count > 1:
             return float(f"{1 / usual_interval(times):.4g}")
         return float(self._stream.guessed_rate or self._stream.average_rate or 0) or None
@@ -106,7 +110,10 @@ class Video:
         return max((pts for pts, _ in self._keys if pts <= stamp), default=self._stamps[0])
 
     def _seek(self, stamp: int) -> None:
-        """Move to the key frame at or before `stamp`, in ticks; to the first frame if there are no times."""
+        """Move to the last key frame at or before the time `stamp`, in ticks of the container.
+
+        If the frames have no times, or moving fails, go back to the first frame.
+        """
         key = dict(self._keys).get(self._key(stamp))
         if not self._timed or key is None:
             self._rewind()
@@ -132,7 +139,10 @@ class Video:
 
 
 def _luminance(frame: Any) -> NDArray[Any]:
-    """Return the stored luminance of a decoded frame, (row, column), 8 or 16 bits; RGB is made grey."""
+    """Return the stored luminance of a decoded frame, (row, column), as 8 or 16 bits.
+
+    RGB and palette images are converted to grey.
+    """
     form = frame.format
     if form.is_rgb or form.has_palette:
         return grey(frame.to_ndarray(format="rgb24"))
