@@ -20,7 +20,7 @@ class WavesAccessor:
     Notes
     -----
     Every method calls the function of the same name and accepts its keywords. Methods that analyse a single
-    field, such as ``cube.waves.spectrum("w")``, take the name of the field first.
+    field take its name as their first argument, as in ``cube.waves.spectrum("w")``.
 
     Examples
     --------
@@ -37,7 +37,11 @@ class WavesAccessor:
 
 
 def _method(name: str, field: str | None) -> Callable[..., Any]:
-    """Return a method that calls an estimator with the cube, or with one of its fields (default: `field`)."""
+    """Return a method of the accessor that calls the estimator `name` of `wavefield.waves`.
+
+    If `field` is None, the estimator receives the cube. Otherwise the method takes the name of a variable, by
+    default `field`, and the estimator receives this variable.
+    """
 
     def call_with_cube(self: WavesAccessor, *args: Any, **options: Any) -> Any:
         return getattr(waves, name)(self._cube, *args, **options)

@@ -22,8 +22,11 @@ LEVELS = np.arange(0.0, 5.01, 0.25)  # in standard deviations; one wave in 270,0
 
 
 def extremes(series: Array) -> tuple[Array, Array, Array]:
-    """Start, crest height and trough depth of each wave between zero up-crossings of a series (time,).
-    Each (waves,); depths are positive. A parabola through three steps refines heights and depths.
+    """Return the start, crest height and trough depth of each wave in a series (time,), each (waves,).
+
+    A wave lies between two zero up-crossings. Its start is the index of the last step before the first of
+    them. Heights and depths are in the unit of the series, and depths are positive. A parabola through three
+    steps refines them. The results are empty if there are fewer than two up-crossings.
     """
     start = np.flatnonzero((series[:-1] < 0) & (series[1:] >= 0))
     if start.size < 2:
@@ -41,7 +44,10 @@ def extremes(series: Array) -> tuple[Array, Array, Array]:
 
 
 def _series(field: xr.DataArray, record: Record) -> list[Array]:
-    """Elevations (time, points) in each uninterrupted run of steps, at points about 8 cm apart."""
+    """Return the elevations (time, points) in each uninterrupted run of steps, at points about 8 cm apart.
+
+    The list has one array per run of `record`. `field` is the elevation z over (time, y, x).
+    """
     read = Reader([field], record)
     apart_y, apart_x = (max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx))
     runs = []
@@ -55,8 +61,12 @@ def _series(field: xr.DataArray, record: Record) -> list[Array]:
 
 
 def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array, Array]:
-    """Sums of the powers 0 to 4 of the elevation in each block of steps, (blocks, 5); numbers of crests and
-    of troughs above each level, (blocks, levels).
+    """Return sums of powers of the elevation and numbers of crests and troughs in each block of steps.
+
+    `runs` are elevations (time, points), which are cut into blocks of `block` steps; a shorter rest is left
+    out. The first result, (blocks, 5), holds the sums of z^0 to z^4 over steps and points. The other two,
+    (blocks, levels), are the numbers of crests and of troughs that reach each of `LEVELS`, in units of
+    `sigma`, m.
     """
     sums, above = [], []
     for run in runs:
@@ -76,7 +86,7 @@ def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array
 
 
 def _moments(sums: Array) -> Array:
-    """Significant height, skewness and excess kurtosis, (..., 3), from sums of powers 0 to 4, (..., 5)."""
+    """Significant height, skewness and excess kurtosis, (..., 3), from the sums of z^0 to z^4, (..., 5)."""
     mean, m2, m3, m4 = (sums[..., p] / sums[..., 0] for p in (1, 2, 3, 4))
     variance = m2 - mean**2
     third = m3 - 3 * mean * m2 + 2 * mean**3
@@ -85,8 +95,10 @@ def _moments(sums: Array) -> Array:
 
 
 def tayfun(level: Array, skewness: float) -> Array:
-    """Probability that a crest of a second-order sea exceeds a level in standard deviations (Tayfun 1980).
-    It is exp(-(sqrt(1 + 2 m x) - 1)^2 / 2 m^2) for level x, with m a third of the skewness.
+    """Return the probability that a crest of a second-order sea exceeds a level (Tayfun 1980).
+
+    It is exp(-(sqrt(1 + 2 m x) - 1)^2 / 2 m^2), where x is `level`, in standard deviations of the elevation,
+    and m is a third of the skewness. For a skewness of zero or less it is Rayleigh's exp(-x^2 / 2).
     """
     steepness = max(float(skewness), 0.0) / 3
     level = np.asarray(level, float)
@@ -110,9 +122,10 @@ def crest_statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Da
     -------
     Dataset
         ``significant_height`` (m), ``skewness``, ``kurtosis`` (excess) and their standard uncertainties
-        ``_std``; ``mean_period`` (s) between zero up-crossings; ``waves``, the number of waves. Over
-        ``level``, in standard deviations of z: ``crest_exceedance`` and ``trough_exceedance``, the fractions
-        that exceed the level, with their ``_std``; ``rayleigh`` and ``tayfun``, the theories. Attribute
+        ``_std``; ``mean_period`` (s) between zero up-crossings; ``waves``, the number of waves at
+        all points. Over ``level``, in standard deviations of z: ``crest_exceedance`` and
+        ``trough_exceedance``, the fractions of crests and troughs that reach the level, with their ``_std``;
+        ``rayleigh`` and ``tayfun``, the fractions that these distributions predict for crests. Attribute
         ``blocks``, the number of blocks in the bootstrap.
 
     Raises

@@ -58,21 +58,25 @@ NAMES = tuple(SOURCES)
 
 @dataclass(frozen=True)
 class Requested:
-    """Quantities and pairs of them whose power and cross spectra are summed over segments."""
+    """Quantities whose power, and pairs of quantities whose cross spectra, are summed over segments."""
 
     names: Sequence[str]
     pairs: Sequence[tuple[str, str]] = ()
-    planes: Sequence[str] = ()  # quantities, or pairs "a*b", summed for single cells of the k plane as well
+    planes: Sequence[str] = ()  # quantities, or pairs "a*b", that are also summed at each cell of the k plane
 
 
 def sources(names: Sequence[str]) -> list[str]:
-    """Fields of a cube that some quantities are computed from, in the order of the cube."""
+    """Return the fields of a cube from which the quantities `names` are computed: some of z, z_t, u, v, w."""
     needed = {field for name in names for field in SOURCES[name]}
     return [field for field in ("z", "z_t", "u", "v", "w") if field in needed]
 
 
 class _Advection:
-    """(u - U) . grad z, or z_t + U . grad z, computed when some of its steps are read."""
+    """Array (steps, ny, nx) of the quantity nl or rise, which computes its values when steps are read.
+
+    nl is (u - U) . grad z and rise is z_t + U . grad z, with the current U of `welch`. `fields` holds z, z_t,
+    u and v, each (steps, ny, nx). Reading also writes the values at 16 nodes to ``points`` (nodes, steps).
+    """
 
     def __init__(self, fields: Mapping[str, Array], welch: Welch, name: str) -> None:
         self.name = name
@@ -103,8 +107,12 @@ def transforms(
     welch: Welch,
     memory: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
-    """Spatial transforms, (cells, steps), of half a segment of fields (steps, ny, nx), by quantity.
-    Empties ``fields`` to free memory. Writes into the arrays of ``memory``, earlier transforms, if given.
+    """Return the spatial transforms (cells, steps) of the quantities `names` in half a segment.
+
+    `fields` holds fields (steps, ny, nx) of the cube by name. The function removes them from it to free
+    memory. The result holds each transform under the name of the quantity, and values at 16 nodes, (nodes,
+    steps), under "points <name>". `memory` may hold earlier transforms by quantity, which the function
+    overwrites.
     """
     out, memory = {}, memory or {}
     advected = [name for name in ("nl", "rise") if name in names]
@@ -121,7 +129,12 @@ def transforms(
 
 
 def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Array]:
-    """Sums of zeros for `add_segment`; ``half`` is a transform, (cells, n / 2), of that shape."""
+    """Return the arrays of zeros, by name, to which `add_segment` adds.
+
+    `half` is the transform of half a segment, (cells, n / 2). There are sums over rings (2, rings, n / 2 + 1)
+    for each quantity and each pair "a*b", "squares a*b" (rings, n / 2 + 1) for each pair, and "map <name>"
+    (cells, n) for each of the requested planes.
+    """
     cells, steps = half.shape
     names = (*requested.names, *(f"{a}*{b}" for a, b in requested.pairs))
     sums = {name: np.zeros((2, table.k.size, steps + 1)) for name in names}
@@ -138,8 +151,10 @@ def add_segment(
     second: dict[str, Array],
     begin: int,
 ) -> None:
-    """Add the powers and cross products of a segment to ``sums``, from transforms (cells, n / 2) of its
-    halves. ``begin`` is the first step of the segment.
+    """Add the powers and cross products of one segment to `sums`, and its Fourier lines at 16 nodes.
+
+    `first` and `second` are the results of `transforms` for the two halves of the segment, and `begin` is its
+    first step. If `sums` is empty, the function creates its arrays with `empty_sums`.
     """
     if not sums:
         sums |= empty_sums(first[requested.names[0]], requested, welch.table)
@@ -188,7 +203,11 @@ def _add_products(
 
 
 def _quadrature(b: Array) -> tuple[Array, Array]:
-    """Factors for Re(i exp(i b) S) of a cross spectrum S in numpy's sign convention; b is omega dt / 2."""
+    """Return the factors (n,) with which Re S and Im S add up to Re(i exp(i b) S).
+
+    S is a cross spectrum <conj(a) b> of numpy's transforms, which at positive frequencies are those of waves
+    exp(i (k . x + omega t)); the factors conjugate it there. `b` (n,) is omega dt / 2, in numpy's order.
+    """
     imaginary = np.where(b < 0, -1.0, 1.0) * np.cos(b)
     imaginary[[0, b.size // 2]] = 0.0
     return -np.sin(np.abs(b)), imaginary
@@ -209,7 +228,11 @@ _DIMS = {
 def _estimates(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> dict[str, Array]:
-    """Spectra, degrees of freedom, cross spectra and numbers of samples, with the dimensions of `_DIMS`."""
+    """Return the arrays of `label`: spectra, degrees of freedom, cross spectra, numbers of samples.
+
+    `sums` are the sums of `add_segment`. The arrays have the dimensions of `_DIMS`. Cross spectra and numbers
+    of samples are missing if there are no pairs.
+    """
     freedom = {name: ring_freedom(sums, name, welch) for name in names}
     if "nl" in names:
         waves = next(name for name in ("w", "rise", *names) if name in names)
@@ -231,7 +254,10 @@ def _estimates(
 def label(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
-    """Labelled power and cross spectra from the sums of `add_segment` over all segments."""
+    """Return the result of `cross_spectra` from the sums of `add_segment` over all segments.
+
+    `names` are the quantities and `pairs` the pairs of quantities that were summed.
+    """
     coords: dict[str, Any] = {"quantity": list(names)} | omega_coords(welch.omega) | k_coords(welch.table.k)
     if pairs:
         coords["pair"] = ["*".join(pair) for pair in pairs]
@@ -242,7 +268,10 @@ def label(
 
 
 def checked_fields(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Fields of a cube from which some quantities are computed, in m and s and of one type."""
+    """Return the fields of a cube from which the quantities `names` are computed, in m and m/s.
+
+    All of them have one floating-point type. Raise CubeError if one is missing.
+    """
     fields = sources(names)
     for field in fields:
         if field not in cube:
@@ -266,8 +295,8 @@ def cross_spectra(
     cube : Dataset
         Fields over (time, y, x), m and m/s. A cube on disk is read once, in pieces.
     names : sequence of str
-        Quantities: z (at the times of the frames), z_t, u, v, w, nl, which is (u - U) . grad z, and rise,
-        which is z_t + U . grad z. U is the mean of u, v over the record.
+        Some of the quantities z (at the times of the frames), z_t, u, v, w, nl and rise. nl is
+        (u - U) . grad z, and rise is z_t + U . grad z, with the mean U of u, v over the record.
     pairs : sequence of (str, str)
         Pairs of quantities whose cross spectrum is computed.
     segment : int, optional
@@ -278,11 +307,13 @@ def cross_spectra(
     Returns
     -------
     Dataset
-        ``E`` and its degrees of freedom ``dof`` (quantity, omega, k), in the quantity's units squared per
-        rad/m and rad/s; ``dof_omega`` and ``dof_k``, those of E(omega) and E(k). For each pair, named "a*b",
-        the cross spectrum ``S`` = <conj(a) b> (pair, omega, k) and the number of independent ``samples`` in
-        it, ``samples_k`` in its integral over omega. ``coverage``, the sampled fraction of each ring, and
-        ``cells``, their number (k); ``valid`` (omega, k).
+        The spectrum ``E`` (quantity, omega, k), in the quantity's units squared per rad/m and rad/s, and its
+        degrees of freedom ``dof``; ``dof_omega`` and ``dof_k``, the degrees of freedom of E(omega) and E(k).
+        For each pair, named "a*b", the cross spectrum ``S`` = <conj(a) b> (pair, omega, k), the number of
+        independent ``samples`` in S, and the number ``samples_k`` in the integral of S over omega. Over k:
+        ``coverage``, the fraction of each ring of |k| that the grid samples, and ``cells``, the number of
+        independent cells in the ring. ``valid`` (omega, k) is true at frequencies and wavenumbers that
+        segments and grid resolve.
 
     Raises
     ------
@@ -312,20 +343,30 @@ def cross_spectra(
 def _transform_blocks(
     names: Sequence[str], welch: Welch, blocks: list[Array], link: Link, memory: dict[str, Array]
 ) -> dict[str, Array]:
-    """As `transforms`, from the blocks that were read from the fields of the cube."""
+    """Return the result of `transforms` for half a segment, from blocks (steps, ny, nx) of the cube.
+
+    `blocks` are in the order of `sources`; the function empties this list to free memory. It does not use
+    `link`, which `sum_segments` passes.
+    """
     fields = dict(zip(sources(names), blocks))
     blocks.clear()  # so that `transforms` can release them
     return transforms(fields, names, welch, memory)
 
 
 def with_mean_current(cube: xr.Dataset, welch: Welch) -> Welch:
-    """Segments that move with the mean of u and v over the record."""
+    """Return `welch` with the mean of u and v over the record as its current.
+
+    This reads evenly spaced steps of the cube.
+    """
     mean, _ = delayed_current(cube, welch.record).compute()
     return replace(welch, current=(float(mean[0]), float(mean[1])))
 
 
 def segment_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> dict[str, Array]:
-    """Sums of `add_segment` over all segments of a cube, whose fields were checked."""
+    """Return the sums of `add_segment` over all segments of a cube, by name.
+
+    The fields of the cube have been checked with `checked_fields`.
+    """
     names = requested.names
     fields = [cube[field] for field in sources(names)]
     transform, add = partial(_transform_blocks, names, welch), partial(add_segment, requested, welch)
@@ -334,7 +375,11 @@ def segment_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> dict[s
 
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
-    """Divide the spectra by the power gain of the measurement; those of rise and nl are not corrected."""
+    """Return `ring` with E divided by the power gain of the measurement, and with the mask ``valid_k``.
+
+    ``valid_k`` (quantity, k) is true where the gain is large enough for the correction, or where the quantity
+    has none. The quantities rise and nl are not corrected, and their mask is false.
+    """
     names = ring["quantity"].values
     factor, valid = np.ones((names.size, ring.sizes["k"])), np.zeros((names.size, ring.sizes["k"]), bool)
     for i, name in enumerate(names):
@@ -351,7 +396,11 @@ def _spectra(
     welch: Welch,
     filled: Mapping[str, float],
 ) -> xr.Dataset:
-    """Group `spectra`: E(k, omega), E(k) and E(omega) of each quantity, with their intervals."""
+    """Return the group `spectra` of `analyze`: E(k, omega), E(k) and E(omega), with 95 % intervals.
+
+    If `gain` is given, spectra are divided by it. `filled` is, by quantity, the error in E(omega) due to
+    interpolated nodes; ``valid`` is false where this error may matter.
+    """
     valid = ring["valid"]
     for name, added in filled.items():
         if added:
@@ -365,7 +414,7 @@ def _spectra(
 
 
 def _ring(sums: Mapping[str, Array], pairs: Sequence[tuple[str, str]], welch: Welch) -> xr.Dataset:
-    """Spectra of all quantities, and cross spectra of the pairs of an analysis."""
+    """Return the `cross_spectra` of all seven quantities and of `pairs`, from the sums of an analysis."""
     return label(sums, NAMES, pairs, welch)
 
 
@@ -382,19 +431,25 @@ TERMS = {"w": "rise*w", "nl": "rise*nl", "tot": "rise*w"}
 
 
 def significance_level(samples: Any) -> Any:
-    """Squared coherence that unrelated signals exceed in 5 % of cases, 1 - 0.05^(1 / (N - 1))."""
+    """Return the squared coherence that unrelated signals exceed in 5 % of cases.
+
+    It is 1 - 0.05^(1 / (N - 1)) for N = `samples` independent samples, and 1 for a single one.
+    """
     more = np.maximum(samples - 1, 1e-9)
     return 1 - CHANCE ** (1 / more)
 
 
 def _above_noise(energy: xr.DataArray) -> xr.DataArray:
-    """Whether the energy of each ring exceeds its noise, the median over omega, threefold, (k,)."""
+    """Return a mask (k,): true where the energy (omega, k) of a ring exceeds three times its noise.
+
+    The noise is the median over omega times the number of frequencies.
+    """
     noise = energy.median("omega") * energy.sizes["omega"]
     return energy.sum("omega") > MIN_SIGNAL_TO_NOISE * noise
 
 
 def coherence_group(ring: xr.Dataset) -> xr.Dataset:
-    """Group `coherence`: the results of `coherence`, from the spectra and cross spectra of its terms."""
+    """Return the result of `coherence` from the `cross_spectra` of rise, w and nl, their pairs included."""
     rise, w, nl = (ring["E"].sel(quantity=name, drop=True) for name in COHERENCE_NAMES)
     rise_w, rise_nl, w_nl = (ring["S"].sel(pair="*".join(pair), drop=True) for pair in COHERENCE_PAIRS)
     terms = xr.Variable("term", list(TERMS))
@@ -437,7 +492,8 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
         Over (term, k), for the terms w, nl and tot: the complex coherence ``C`` with common norm; the squared
         coherence ``gamma2``; the number of independent ``samples``; and ``level``, the gamma2 that unrelated
         signals exceed in 5 % of cases. The same names with ``_komega`` are over (term, omega, k). ``valid``
-        (k) is true where the waves exceed the noise threefold; noise is coherent, too.
+        (k) is true where the energies of z_t and w are more than three times their noise, because noise is
+        coherent, too.
 
     Raises
     ------
@@ -493,8 +549,9 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
     Returns
     -------
     Dataset
-        ``plane_C`` (term, ky, kx), the modulus for the terms w, nl and tot and kx >= 0 (it is the same at
-        -k); ``mean_C`` (term, k), its mean over rings. Attribute ``steps``, the number of steps used.
+        ``plane_C`` (term, ky, kx), the modulus of the coherence for the terms w, nl and tot, at kx >= 0 (it
+        is the same at -k); ``mean_C`` (term, k), the mean of plane_C over each ring of |k|. Attribute
+        ``steps``, the number of steps used.
 
     Raises
     ------
@@ -537,7 +594,11 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
 
 
 def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
-    """Sums over steps, (cells,), of the transforms of the terms, their powers and products with z_t."""
+    """Return sums over steps, (cells,), from the spatial transforms (cells, steps) of rise, w and nl.
+
+    "z_t", "w" and "nl" are the sums of rise, w and -nl; "z_t*w" and "z_t*nl" sums of conj(rise) times w or
+    -nl; "power" and "total" sums of |rise|^2 and |w - nl|^2.
+    """
     z_t, w, nl = (parts[name] for name in COHERENCE_NAMES)
     return {
         "z_t": z_t.sum(axis=1),
@@ -551,7 +612,10 @@ def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
 
 
 def _plane_coherences(mean: dict[str, Array]) -> Array:
-    """Moduli of the coherence of each term and of their sum, (3, cells), from means over time."""
+    """Return the moduli of the coherence of z_t with w, with -u . grad z and with their sum, (3, cells).
+
+    `mean` holds the results of `_plane_sums`, divided by the number of steps.
+    """
     power = mean["power"] - np.abs(mean["z_t"]) ** 2
     total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))

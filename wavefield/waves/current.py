@@ -19,8 +19,10 @@ _SLOWEST = 8  # lowest Fourier lines of the series of means, from which its unce
 
 
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
-    """Delayed mean u, v of evenly spaced steps and its standard uncertainty, each (2,), m/s.
-    A Hann window in space removes the waves; equal weights leave a hundredth of them, coherent with z_t.
+    """Return the mean (u, v) of a record and its standard uncertainty, each (2,), m/s, as dask objects.
+
+    The mean is over up to 256 evenly spaced steps, and over space with the weights of a Hann window. This
+    window removes the waves; equal weights would leave a hundredth of them, coherent with z_t.
     """
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
@@ -36,7 +38,7 @@ def delayed_current(cube: xr.Dataset, record: Record) -> Any:
 
 
 def _by_chunk(field: xr.DataArray, steps: list[int]) -> list[list[int]]:
-    """Lists of the steps in each chunk."""
+    """Return the numbers in `steps`, grouped into one list for each chunk of time of `field`."""
     chunk = np.asarray(steps) // chunk_steps(field)
     return [[t for t, c in zip(steps, chunk) if c == number] for number in np.unique(chunk)]
 
@@ -66,22 +68,26 @@ FITTED, GIVEN, NO_CURRENT = "fit", "given", "none"
 
 @dataclass(frozen=True)
 class CurrentUsed:
-    """A current and its origin."""
+    """Current that an estimate used, and its origin."""
 
     velocity: tuple[float, float]  # along x and y, m/s
     std: tuple[float, float]  # standard uncertainty, m/s; NaN where it was not estimated
-    source: str  # ``fit``, ``given``, or ``none`` for still water
-    reason: str = ""  # reason for which the fit was refused
+    source: str  # ``fit``, ``given`` by the user, or ``none`` for still water
+    reason: str = ""  # message of the CubeError if the fit failed
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes of a product that used this current."""
+        """Attributes of a Dataset that was computed with this current."""
         out = {"current": list(self.velocity), "current_std": list(self.std), "current_source": self.source}
         return out | ({"current_fit_refused": self.reason} if self.reason else {})
 
 
 def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> CurrentUsed:
-    """Current fitted to the dispersion relation, else the given current, m/s, else still water."""
+    """Return the current fitted to the dispersion relation, else the `given` current, else still water.
+
+    `dispersion` is the result of `dispersion_group`; it has no ``current_x`` if the fit failed. `given` is
+    along x and y, m/s. Only a fitted current has a standard uncertainty.
+    """
     if "current_x" in dispersion:
         velocity, std = ([float(dispersion[f"current_{a}{end}"]) for a in "xy"] for end in ("", "_std"))
         return CurrentUsed((velocity[0], velocity[1]), (std[0], std[1]), FITTED)
