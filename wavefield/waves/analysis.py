@@ -51,18 +51,18 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Sums:
-    """Sums over all segments of a cube."""
+    """Sums over all segments of a cube, from which the wave products are computed."""
 
     scale: dict[str, tuple[float, float]]  # rough mean and standard deviation of each field
-    ring_sums: dict[str, Array]  # of `cross.add_segment`
-    survey_sums: dict[str, Array]  # of `moments.sums_of`
-    balance_rows: list[dict[str, float]]  # of `motion.balance`, each with its "step"
+    ring_sums: dict[str, Array]  # powers and cross products that `cross.add_segment` sums
+    survey_sums: dict[str, Array]  # sums of powers and histograms, from `moments.sums_of`
+    balance_rows: list[dict[str, float]]  # rms values from `motion.balance`, each with its "step"
     point_series: Array  # w at distant nodes, (time, nodes)
 
 
 @dataclass
 class _Partial:
-    """Sums over one chain of segments, or over several."""
+    """Sums over one chain of up to four consecutive segments, or over several chains."""
 
     ring_sums: dict[str, Array] = field(default_factory=dict)
     survey_sums: dict[str, Array] = field(default_factory=dict)
@@ -80,7 +80,7 @@ class _Partial:
 
 @dataclass(frozen=True)
 class _Chain:
-    """Sums over the segments of a chain, as a task."""
+    """Task of a worker: read a chain of up to four consecutive segments and return its sums."""
 
     read: Reader
     welch: Welch
@@ -143,7 +143,11 @@ def one_pass(
     progress: Progress | None,
     each: Each | None = None,
 ) -> Sums:
-    """Sums over the segments of a cube, which is read once."""
+    """Read a cube once, and return the sums over its segments that the wave products need.
+
+    `requested` names the spectra to sum; `progress` is called with the number of parts done and of all parts.
+    `each(work, items)` calls `work` for every item on workers; without it, this process computes.
+    """
     record = welch.record
     scale = moments.rough_scales(cube, record, list(moments.QUANTITIES.values()))
     read = Reader([cube[name] for name in FIELDS], record)
@@ -201,7 +205,7 @@ def analyze(
     progress : callable, optional
         Called with the number of parts done and of all parts.
     each : callable, optional
-        Maps work over items on workers, as in `wavefield.analyze`.
+        ``each(work, items)`` calls ``work`` for every item on workers, as in `wavefield.analyze`.
     **options
         As in `wavefield.analyze`, which also opens stores and writes the result.
 
@@ -213,7 +217,8 @@ def analyze(
     Raises
     ------
     CubeError
-        If the cube lacks a variable, is shorter than a segment, has uneven steps, or has no full rectangle.
+        If the cube lacks a variable, is shorter than a segment, has uneven steps, or has no
+        rectangle of nodes that are measured throughout.
     """
     unknown = options.keys() - AnalysisOptions.__annotations__
     if unknown:
@@ -312,7 +317,7 @@ FEW_SEGMENTS = 7  # the default segment is a quarter of the record and gives sev
 
 
 def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
-    """Notes on the part of the cube that was used, on its gaps and on its length."""
+    """Return sentences for the user on the part of the cube that was used, its gaps and its length."""
     record, count, sizes = welch.record, welch.count, cube.sizes
     used = record.steps_in_runs(welch.segment)
     out = []
@@ -343,7 +348,7 @@ def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
 
 
 def _note_on_holes(record: Record, z: xr.DataArray) -> str:
-    """Note on the filled nodes: their number, their error and its contribution to the spectrum of z."""
+    """Return a sentence on the filled nodes: their number, their error, and what it adds to E(omega) of z."""
     share = record.holes / (record.steps_in_runs() * record.shape[0] * record.shape[1])
     text = f"{record.holes} missing nodes ({100 * share:.2g} %) were filled from their neighbours"
     error = filled_error(record, z)

@@ -26,15 +26,21 @@ Array = NDArray[Any]
 
 
 def relative_std(power: Array, dof: Array, overlap: Array) -> float:
-    """Relative standard uncertainty of the sum of a spectrum (n,) with correlated lines or rings."""
+    """Return the relative standard uncertainty of the sum of a spectrum over its lines or rings.
+
+    `power` (n,) is the spectrum, `dof` (n,) its degrees of freedom, and `overlap` the squared correlations
+    between lines or rings. NaN if a value is not finite or the sum is not positive.
+    """
     if not (np.isfinite(power).all() and np.isfinite(dof).all() and power.sum() > 0):
         return np.nan
     return float(np.sqrt(2 / sum_freedom(power[:, None], np.maximum(dof, 1)[:, None], overlap)[0]))
 
 
 def moment_stds(energy: xr.DataArray, dof: Array, welch: Welch) -> dict[str, float]:
-    """Relative standard uncertainties of the variance and of the mean square slope.
-    From E(omega, k) and the degrees of freedom `dof` (omega) of the mean of the spectra of all nodes.
+    """Return relative standard uncertainties of the variance and of the mean square slope.
+
+    The keys are ``variance`` and ``slope``. `energy` is E(omega, k) of the elevation; `dof` (omega,) are the
+    degrees of freedom of the mean of the spectra of all nodes.
     """
     energy = energy.fillna(0.0)
     longer = welch.record.steps_in_runs() * welch.record.dt / welch.duration
@@ -74,8 +80,10 @@ def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
 
 
 def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tuple[float, float]]:
-    """Uncertainties as in `moment_stds`, and the peak frequency with its standard uncertainty, rad/s.
-    All are NaN if the record is shorter than a segment; the peak is NaN in less than ten peak periods.
+    """Return the uncertainties of `moment_stds`, and the peak frequency with its standard uncertainty.
+
+    Both frequencies are in rad/s. All values are NaN if the record is shorter than a segment. The peak and
+    its uncertainty are NaN if the record has less than ten peak periods.
     """
     try:
         both = komega(z, record=record)
@@ -91,8 +99,11 @@ def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tup
 
 
 def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Array) -> tuple[float, float]:
-    """Frequency of the spectral peak, rad/s, by a parabola through three lines, and its uncertainty.
-    The uncertainty is from spectra drawn about the estimate, with its degrees of freedom.
+    """Return the frequency of the spectral peak and its standard uncertainty, rad/s.
+
+    The peak of `energy` (omega,) is that of a parabola through the logarithm of the highest `valid` line and
+    its neighbours. The uncertainty is the scatter of the peaks of random spectra about `energy` with the
+    degrees of freedom `dof`; it is NaN if no `dof` is finite.
     """
     measured = np.log(np.maximum(np.nan_to_num(energy), 1e-9 * np.nanmax(energy[valid])))
     white = np.random.default_rng(0).standard_normal((BOOTSTRAP_DRAWS, energy.size + 2))
@@ -108,9 +119,10 @@ def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Arr
 
 
 def with_stds(out: xr.Dataset, stds: dict[str, float]) -> xr.Dataset:
-    """Add standard uncertainties of the significant height, the mean square slope and the rms slope.
+    """Return `out` with standard uncertainties of the significant height, mean square slope and rms slope.
 
-    `stds` has relative ones, of the variance of z (`variance`) and of the mean square slope (`slope`).
+    `stds` has the relative standard uncertainties of the variance of z (key `variance`) and of the mean
+    square slope (key `slope`).
     """
     parts = {}
     for name, kind, power in (
@@ -124,7 +136,10 @@ def with_stds(out: xr.Dataset, stds: dict[str, float]) -> xr.Dataset:
 
 
 def steepness_std(out: xr.Dataset, peak: float, depth: float, gamma: float) -> xr.Dataset:
-    """Add standard uncertainties of peak frequency, wavenumber and steepness; `peak` is the first, rad/s."""
+    """Return `out` with standard uncertainties of peak frequency, peak wavenumber and steepness.
+
+    `peak` is the standard uncertainty of the peak frequency, rad/s.
+    """
     k = float(out["peak_k"])
     k_std = peak / float(group_velocity(k, depth, gamma))
     relative = np.hypot(k_std / k, float(out["significant_height_std"] / out["significant_height"]))
@@ -142,7 +157,10 @@ Scales = Mapping[str, tuple[float, float]]  # rough mean and standard deviation 
 
 
 def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of each field at a few steps, for the bins of the histograms."""
+    """Return a mean and standard deviation of each named field, from a few steps of the record.
+
+    They place the bins of the histograms. The standard deviation is 1 for a constant field.
+    """
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
     sampled = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, SAMPLED_STEPS).astype(int)})
@@ -157,7 +175,12 @@ def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict
 
 
 def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -> dict[str, Array]:
-    """Sums of powers of fields (steps, ny, nx) at each node; histograms; sums of squared slopes."""
+    """Return sums over the steps of fields (steps, ny, nx), by name of the sum.
+
+    ``powers <field>`` (4, nodes) are sums of powers of the field minus the mean in `scales`; ``counts
+    <field>`` is a histogram; ``steps`` is the number of steps. ``slopes`` are the sum of the squared slopes
+    of z and their number.
+    """
     out: dict[str, Array] = {}
     for name, values in fields.items():
         mean, std = scales[name]
@@ -173,11 +196,12 @@ def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -
 
 
 def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
-    """Moments from `powers` (4, nodes): sums over `steps` steps of (value - guess)^p at a node, p = 1 to 4.
+    """Return the moments of a field from `powers` (4, nodes).
 
-    Standard deviation, skewness and excess kurtosis are about the mean in time of each node, because
-    differences between these means are mostly errors of the calibration. The mean and ``pdf_std`` are of all
-    nodes.
+    At each node, these are sums over `steps` steps of (value - `guess`)^p, p = 1 to 4. Standard deviation,
+    skewness and excess kurtosis are about the mean in time of each node, because differences between these
+    means are mostly errors of the calibration. ``mean`` and ``pdf_std`` are the mean and standard deviation
+    of the values at all nodes together.
     """
     a1, a2, a3, a4 = powers / steps
     m2 = (a2 - a1**2).mean()
@@ -195,8 +219,10 @@ def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
 
 
 def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, float]) -> Array:
-    """Probability density over (value - mean) / std, (bins,), from counts in rough bins.
-    Interpolates the cumulative count, so only values beyond the last bin are lost.
+    """Return the probability density (bins,) of (value - mean) / pdf_std.
+
+    `counts` is a histogram over bins of the rough mean and standard deviation `scale`. Its cumulative sum is
+    interpolated to bins of the exact `moments`.
     """
     edges = np.linspace(-REACH, REACH, BINS + 1)
     if not moments["pdf_std"] > 0:
@@ -207,13 +233,16 @@ def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, floa
 
 
 def _bin_centres() -> Array:
-    """Centres of the bins, in standard deviations."""
+    """Return the centres of the histogram bins, in standard deviations."""
     edges = np.linspace(-REACH, REACH, BINS + 1)
     return (edges[1:] + edges[:-1]) / 2
 
 
 def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
-    """Labelled statistics from the sums over a record."""
+    """Return the statistics of a record as a Dataset, from the sums of `sums_of`.
+
+    `dt`, s, turns velocities into displacements over one step.
+    """
     fields = {name: field for name, field in QUANTITIES.items() if f"powers {field}" in sums}
     rows: dict[str, list[Any]] = defaultdict(list)
     for name, field in fields.items():
@@ -252,13 +281,13 @@ def statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
     Returns
     -------
     Dataset
-        For the quantities z, dx, dy and dz, the displacements over a step: ``pdf`` (quantity, bin), over
-        (value - ``mean``) / ``pdf_std``, and the standard normal density ``gaussian`` (bin); ``mean``,
-        ``std`` (m), ``skewness``, ``kurtosis`` (excess), ``count``, and ``n_outliers``, the number of values
-        beyond six standard deviations (quantity).
+        The coordinate ``quantity`` is z, or dx, dy, dz: the displacements over one step, m. ``pdf``
+        (quantity, bin) is the density of (value - ``mean``) / ``pdf_std``, and ``gaussian`` (bin) the
+        standard normal density. Over ``quantity``: ``mean``, ``std`` (m), ``skewness``, ``kurtosis``
+        (excess), ``count`` and ``n_outliers``, the number of values beyond six standard deviations.
         ``significant_height`` (m), ``mean_square_slope``, ``slope_rms`` and ``peak_frequency`` (Hz) with
         standard uncertainties ``_std``. The uncertainties are NaN if the record is shorter than a segment;
-        the peak is NaN in less than ten peak periods.
+        the peak is NaN if the record has less than ten peak periods.
 
     Raises
     ------
@@ -298,7 +327,10 @@ def statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
-    """Add peak frequency (Hz), peak wavenumber (rad/m) and steepness, with their uncertainties."""
+    """Add peak frequency (Hz), peak wavenumber (rad/m) and steepness to `statistics`, with uncertainties.
+
+    The peak is that of the elevation spectrum from stereo in `fused`.
+    """
     stereo = fused.sel(source="stereo")  # integrated w has no lowest lines, in which the peak may be
     lines = inner(fused.sizes["omega"])
     peak, std = peak_and_std(stereo["Ez"].values, lines, stereo["dof_Ez"].values, fused["omega"].values)
@@ -309,7 +341,7 @@ def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma
 
 
 def _moments(sums: Mapping[str, Array], scales: Scales, welch: Welch) -> xr.Dataset:
-    """Product `moments` of an analysis: the statistics without uncertainties."""
+    """Return the statistics without uncertainties, as the product `moments` of an analysis."""
     return label(sums, scales, welch.record.dt)
 
 
@@ -321,7 +353,7 @@ def _statistics_group(
     depth: float,
     gamma: float,
 ) -> Noted:
-    """Group `statistics` of an analysis, with a note on outliers."""
+    """Return the group `statistics` of an analysis, with notes on outliers and on a short record."""
     notes = []
     outliers = zip(moments["quantity"].values, moments["n_outliers"].values)
     found = {str(q): int(n) for q, n in outliers if n}

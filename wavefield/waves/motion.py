@@ -24,7 +24,7 @@ OUTPUTS = ("z_x", "z_y", "nonlinear", "residual", "vorticity", "divergence")
 
 
 def slopes(z: Array, dy: float, dx: float) -> tuple[Array, Array]:
-    """Slopes z_y, z_x of fields (steps, ny, nx) by central differences of sixth order."""
+    """Return the slopes z_y and z_x of z (steps, ny, nx), by central differences of sixth order."""
     z_y, z_x = np.empty_like(z), np.empty_like(z)
     kernels.gradient(z, dy, dx, z_y, z_x)
     return z_y, z_x
@@ -33,7 +33,11 @@ def slopes(z: Array, dy: float, dx: float) -> tuple[Array, Array]:
 def terms(
     fields: Mapping[str, Array], dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Array]:
-    """`OUTPUTS`, each (..., ny, nx), from z, z_t, u, v, w; `current` is subtracted in the nonlinear term."""
+    """Return slopes, nonlinear term, residual, vorticity and divergence by name, each (..., ny, nx).
+
+    `fields` holds z, z_t, u, v, w. The mean `current` (x, y), m/s, is subtracted from u and v in the
+    nonlinear term only. The names are those of `OUTPUTS`.
+    """
     shape = fields["z"].shape
     z, z_t, u, v, w = (np.ascontiguousarray(fields[name]).reshape(-1, *shape[-2:]) for name in FIELDS)
     z_y, z_x = slopes(z, dy, dx)
@@ -159,7 +163,11 @@ def balance(
     dx: float,
     current: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, float]:
-    """Rms over the nodes at step i of the terms of the kinematic condition, m/s, and derivatives, 1/s."""
+    """Return rms values over the nodes of step i, by name.
+
+    They are of w, z_t, the nonlinear term and the residual of the kinematic condition, m/s, and of vorticity
+    and divergence, 1/s. `current` is subtracted in the nonlinear term.
+    """
     step = {name: fields[name][i].astype(float) for name in FIELDS}
     parts = terms(step, dy, dx, current)
     values = {
@@ -174,7 +182,12 @@ def balance(
 
 
 def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
-    """Group `kinematics`: the rms of the terms at some steps, and their ratios over the record."""
+    """Return the part of the group `kinematics` with the rms of each term at some steps.
+
+    `rows` are results of `balance`, each with its ``step``. ``nonlinear_fraction`` is the rms of the
+    nonlinear term over that of w, and ``residual_fraction`` that of the residual over that of the nonlinear
+    term.
+    """
     time = cube["time"].values.astype(float)
     steps = np.array([row["step"] for row in rows], int)
     names = [name for name in rows[0] if name != "step"] if rows else []
@@ -192,7 +205,10 @@ def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
 
 
 def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float64]]) -> xr.Dataset:
-    """Group `kinematics`: the mean velocity (2,) of the record and its standard uncertainty, m/s."""
+    """Return the part of the group `kinematics` with the mean current.
+
+    `mean_and_std` holds the mean of u and v over the record (2,) and its standard uncertainty (2,), m/s.
+    """
     out, (mean, std) = {}, mean_and_std
     for i, axis in enumerate(("x", "y")):
         out[f"mean_current_{axis}"] = ((), float(mean[i]))
@@ -201,9 +217,10 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Ratio of the nonlinear term to w for the group `kinematics`: sqrt(E_nl / E_w) over k, and over omega.
+    """Return the amplitude ratio of the nonlinear term to w, for the group `kinematics`.
 
-    E_nl and E_w are the spectra of the two terms. The results include the factors of the 95 % limits.
+    It is sqrt(E_nl / E_w), over k and over omega, with the spectra E_nl of the nonlinear term and E_w of w.
+    ``low_`` and ``high_`` variables times the ratio are the limits of its 95 % interval.
     """
     out: dict[str, Any] = {}
     w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))

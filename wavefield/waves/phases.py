@@ -104,7 +104,10 @@ def phase_average(
 
 
 def phase_weights(angle: Array, phases: int) -> Array:
-    """Weight of each step in each phase, (steps, phases): linear between the two nearest phases."""
+    """Return the weight of each step in each phase, (steps, phases).
+
+    `angle` (steps,) is the phase of each step, rad. A step contributes to the two nearest phases, linearly.
+    """
     place = angle / (2 * np.pi) * phases
     low = np.floor(place)
     out = np.zeros((angle.size, phases))
@@ -115,7 +118,11 @@ def phase_weights(angle: Array, phases: int) -> Array:
 
 
 def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict[str, Array]:
-    """Sums over steps of each field times the weights, times the design matrix, and squared."""
+    """Return three sums over the steps for each field, at every node.
+
+    ``mean <field>`` is weighted with `weights` (steps, phases), ``fit <field>`` with `design` (steps,
+    functions), and ``square <field>`` sums the squares.
+    """
     sums: dict[str, Array] = {}
     first = 0
     for run in read.record.runs:
@@ -139,7 +146,7 @@ def _label(
     design: Array,
     sums: dict[str, Array],
 ) -> xr.Dataset:
-    """Labelled averages, uncertainties and harmonics from the sums over steps."""
+    """Return averages, uncertainties and harmonics as a Dataset, from the sums of `_sums`."""
     total = weights.sum(axis=0)
     count, phases = weights.shape
     # effective number of steps in a weighted mean

@@ -43,7 +43,7 @@ class ProbeFit:
     gain: float  # standard deviation of the probe over that of the elevation
 
     def problems(self, dt: float) -> Iterator[tuple[str, str]]:
-        """Yield the faults of the probe, each with a remedy."""
+        """Yield the faults of the probe, each with a remedy; dt is the time step of the cube, s."""
         if abs(self.best) < SAME_WAVES:
             yield (
                 f"it is unlike the elevation at its place at any time (correlation {self.best:.2f})",
@@ -84,8 +84,8 @@ def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
     Returns
     -------
     list of ProbeFit
-        One for each probe in the field with at least 40 samples: the correlation at zero lag and at the best
-        lag, at which at least half of the record overlaps; the lag, s, and the ratio of standard deviations.
+        One for each probe in the field with at least 40 samples. The best lag is the one of the largest
+        correlation, positive or negative, among lags at which half of the record overlaps or more.
     """
     time = z["time"].values.astype(float)
     if time.size < MIN_SAMPLES:
@@ -106,7 +106,11 @@ def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
 
 
 def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
-    """Resample a probe at the time step dt of the cube, averaged over a step if its rate is higher."""
+    """Resample the elevation `values` of a probe at times `clock` to the time step dt of the cube.
+
+    Returns times and values; values are averaged over a step if the probe samples faster. None if fewer than
+    40 samples are finite or remain.
+    """
     good = np.isfinite(values) & np.isfinite(clock)
     if good.sum() < MIN_SAMPLES:
         return None
@@ -119,7 +123,11 @@ def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
 
 
 def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: float) -> ProbeFit | None:
-    """Compare a probe (clock, values) with the elevation `here` at the times of the cube."""
+    """Compare a probe with the elevation `here` of the cube at the place of the probe.
+
+    `time` are the times of `here`; `clock` and `values` are those of the probe, with the same step dt. None
+    if the series overlap too little.
+    """
     lags, found = correlation(here, values, int(MIN_OVERLAP * time.size))
     if not lags.size:
         return None
@@ -133,7 +141,11 @@ def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: f
 
 
 def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array]:
-    """Lags at which two series overlap in at least `least` samples, and their normalised correlation."""
+    """Return lags in samples, and the normalised correlation of the series a and b at each lag.
+
+    Only lags at which the series have at least `least` finite samples in common are returned. At a positive
+    lag, b is later than a.
+    """
     from scipy.signal import correlate, correlation_lags  # takes a second to import
 
     known = [np.isfinite(v).astype(float) for v in (a, b)]
@@ -172,8 +184,8 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
     -------
     Dataset
         ``Ez_probe`` (probe, omega), the spectrum of each probe, and ``Ez_probes`` (omega), their mean, in
-        m2 s rad-1; ``dof_probes``, the degrees of freedom of the mean; ``low_probes`` and ``high_probes``,
-        which times the mean are the limits of its 95 % interval; ``valid_probes`` (omega).
+        m2 s rad-1; ``dof_probes``, the degrees of freedom of the mean; ``valid_probes`` (omega). The
+        mean times ``low_probes`` and times ``high_probes`` gives the limits of its 95 % interval.
 
     Raises
     ------
@@ -260,7 +272,10 @@ def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tup
 
 
 def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int]:
-    """Frequencies, rad/s, spectral density for omega >= 0, (probe, omega), and number of segments."""
+    """Return frequencies (rad/s), the spectral density (probe, omega) and the number of segments.
+
+    `values` (probe, time) are sampled at `rate`, Hz; a segment lasts `duration`, s.
+    """
     from scipy.signal import welch  # takes a second to import
 
     n = min(round(duration * rate), values.shape[1])
@@ -270,7 +285,7 @@ def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array,
 
 
 def _group(probes: xr.Dataset | None, welch: Welch, cube: xr.Dataset) -> xr.Dataset | None:
-    """Spectra of the probes of an analysis, or None without probes."""
+    """Return the spectra of the probes for the group `spectra` of an analysis; None without probes."""
     if probes is None:
         return None
     time, runs = cube["time"].values.astype(float), welch.record.runs

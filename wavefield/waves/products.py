@@ -63,7 +63,7 @@ class WaveProduct:
 
 
 class Noted(NamedTuple):
-    """A value, or None, with notes for the user."""
+    """The value of a product, or None if the record allows none, with notes for the user."""
 
     value: Any
     notes: Sequence[str]
@@ -73,7 +73,7 @@ _REGISTRY: dict[str, WaveProduct] = {}
 
 
 def register(*products: WaveProduct) -> None:
-    """Add products to the registry; raises ValueError if a name is taken."""
+    """Add products and their variables to the registry; raises ValueError if a name is taken."""
     for product in products:
         if product.name in GIVEN or _REGISTRY.setdefault(product.name, product) != product:
             raise ValueError(f"there is a product or a given value {product.name!r} already")
@@ -81,7 +81,7 @@ def register(*products: WaveProduct) -> None:
 
 
 def registered() -> list[WaveProduct]:
-    """Import all modules of this package and return every registered product."""
+    """Import all modules of `wavefield.waves`, and return every product that they registered."""
     package = importlib.import_module(__package__)
     for module in pkgutil.walk_packages(package.__path__, f"{__package__}."):
         importlib.import_module(module.name)
@@ -91,7 +91,11 @@ def registered() -> list[WaveProduct]:
 def compute_ready(
     waiting: list[WaveProduct], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
 ) -> dict[str, Sequence[str]]:
-    """Compute all waiting products whose inputs are known. Adds them to `values` and returns their notes."""
+    """Compute the products in `waiting` whose inputs are in `values`, until none is left.
+
+    Removes them from `waiting`, adds their values to `values`, and returns their notes by name of product.
+    `each(work, items)` computes costly products on workers; without it, this process computes all.
+    """
     notes: dict[str, Sequence[str]] = {}
     while ready := [product for product in waiting if all(name in values for name in product.inputs)]:
         # quick products first, so that as many as possible of the others can run in parallel
@@ -107,7 +111,11 @@ def compute_ready(
 
 
 def _computed(job: tuple[Callable[..., Any], Sequence[object], str]) -> Noted:
-    """Call the function of a job with its inputs; a CubeError becomes a note if the job allows it."""
+    """Compute a product from a job: its function, its inputs, and the first words of a note.
+
+    If the function raises CubeError, the value is None and the note gives the reason; without first words,
+    the error is raised.
+    """
     compute, inputs, without = job
     with np.errstate(all="ignore"):
         try:

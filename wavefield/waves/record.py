@@ -25,7 +25,10 @@ ROUNDS = 3  # alternations between the prior spectrum and the filled values; a f
 
 
 def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
-    """Fill the missing steps and the NaN nodes of a block (steps, ny, nx)."""
+    """Return a block (steps, ny, nx) with the most probable values at missing steps and NaN nodes.
+
+    `missing` (steps,) marks the missing steps. A complete block is returned as it is.
+    """
     if not missing.any() and all_finite(block):
         return block
     hole = ~np.isfinite(block) | missing[:, None, None]
@@ -37,8 +40,11 @@ def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
 
 
 def fill_error(block: Array) -> float:
-    """Standard deviation of the error of `fill` in the middle of 2 `FILL_MARGIN` + 1 steps, or NaN.
-    Measured nodes are removed in holes of the same shapes, half a field away, and compared with their fill.
+    """Return the standard deviation of the error of `fill` at the middle step of a block.
+
+    The block (steps, ny, nx) has 2 `FILL_MARGIN` + 1 steps. Measured nodes half a field away from the holes
+    are removed, in holes of the same shapes, and compared with their filled values. NaN if the middle step
+    has no hole to compare.
     """
     holes = ~np.isfinite(block)
     ny, nx = holes.shape[1:]
@@ -53,9 +59,10 @@ def fill_error(block: Array) -> float:
 def most_probable(block: Array, hole: NDArray[np.bool_]) -> Array:
     """Return the most probable values at the holes of a block (steps, ny, nx), as (hole.sum(),).
 
-    They are the conditional mean of a Gaussian process with the spectrum S(omega, |k|) of the filled block,
-    so S and the filling are iterated, from local means. G is the filter with the gain 1 - min(S) / S. With m
-    the missing and o the observed nodes, minus the mean, x_m = G_mm x_m + G_mo x_o.
+    They are the conditional mean of a Gaussian process with the spectrum S(omega, |k|) of the filled block. S
+    and the filled values are therefore computed in turns, starting from local means. With the filter G of
+    gain 1 - min(S) / S, and m the missing and o the observed nodes after subtraction of the mean, the values
+    solve x_m = G_mm x_m + G_mo x_o.
     """
     mean = block[~hole].mean(dtype=float)
     known = np.where(hole, 0, block - mean).astype(block.dtype)
@@ -84,7 +91,10 @@ def _with(known: Array, hole: NDArray[np.bool_], values: Array) -> Array:
 
 
 def _conditional_mean(gain: Array, known: Array, hole: NDArray[np.bool_], x: Array) -> Array:
-    """Solve x_m = G_mm x_m + G_mo x_o by conjugate gradients from x."""
+    """Solve x_m = G_mm x_m + G_mo x_o for x_m, by conjugate gradients that start from x.
+
+    `gain` is the filter G on the lines of a cosine transform; `known` is the block, 0 at the holes.
+    """
     from scipy.sparse.linalg import LinearOperator, cg  # slow to import; few records need it
 
     def predicted(whole: Array) -> Array:
@@ -144,12 +154,12 @@ class Record:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Nodes of the rectangle, (ny, nx)."""
+        """Number of nodes of the rectangle, (ny, nx)."""
         return self.y[1] - self.y[0], self.x[1] - self.x[0]
 
     @property
     def longest(self) -> int:
-        """Steps of the longest run."""
+        """Number of steps of the longest run."""
         return max((b - a for a, b in self.runs), default=0)
 
     def steps_in_runs(self, shortest: int = 1) -> int:
@@ -188,7 +198,10 @@ def _spacing(array: xr.DataArray | xr.Dataset, name: str) -> float:
 
 
 def check_axes(array: xr.DataArray | xr.Dataset) -> tuple[float, float, float]:
-    """Steps dt, dy, dx of the axes of a cube; raises `CubeError` if they are uneven."""
+    """Return the steps dt (s), dy and dx (m) of the axes of a cube.
+
+    Raises `CubeError` if a dimension or coordinate is missing, or if steps are uneven or negative.
+    """
     for name in CUBE_DIMS:
         if name not in array.dims:
             raise CubeError(
@@ -210,7 +223,7 @@ def check_axes(array: xr.DataArray | xr.Dataset) -> tuple[float, float, float]:
 
 
 class _Stored:
-    """Part of a stored field, read on conversion to an array and not cached as xarray would."""
+    """Part of a stored field; it is read when converted to an array, and xarray does not cache it."""
 
     def __init__(self, variable: xr.Variable, area: tuple[slice, slice, slice]) -> None:
         self.variable, self.area = variable, area
@@ -222,29 +235,33 @@ class _Stored:
 
 
 def piece(array: xr.DataArray, steps: slice, rows: slice = slice(None), columns: slice = slice(None)) -> Any:
-    """Part of a field (time, y, x): a dask array of a chunked field, else an array that is read when used."""
+    """Return part of a field, (steps, rows, columns): a dask array if the field has dask chunks.
+
+    Otherwise it is an object that is read when converted to a numpy array.
+    """
     if array.chunks is None:
         return _Stored(array.variable, (steps, rows, columns))
     return array.transpose(*CUBE_DIMS).isel(time=steps, y=rows, x=columns).data
 
 
 def chunk_steps(field: xr.DataArray) -> int:
-    """Steps of a chunk, of dask or of the store; 1 for a field in memory."""
+    """Return the number of steps in a chunk, of dask or of the store; 1 for a field in memory."""
     if field.chunks is not None:
         return int(field.chunks[field.get_axis_num("time")][0])
     return int(field.encoding.get("preferred_chunks", {}).get("time", 1))
 
 
 def all_finite(block: np.ndarray) -> bool:
-    """Whether all values are finite; the sum is faster than a test of each value."""
+    """Whether all values are finite. The sum is tested, which is faster than a test of each value."""
     return bool(np.isfinite(block.sum(dtype=np.float64)))
 
 
 def outside_holes(finite: np.ndarray) -> np.ndarray:
-    """True at nodes (steps, ny, nx) outside holes; a hole consists of squares of missing nodes.
+    """Return a mask (steps, ny, nx) that is True outside holes, from the mask `finite` of measured nodes.
 
-    The side of a square is `HOLE_SIDE` nodes. Nodes beyond an edge count as missing, so a gap of `HOLE_SIDE`
-    nodes along an edge is a hole even if it is one node deep.
+    A hole is a region covered by squares of missing nodes with `HOLE_SIDE` nodes a side; smaller gaps are not
+    holes. Nodes beyond an edge count as missing, so a gap of `HOLE_SIDE` nodes along an edge is a hole even
+    if it is one node deep.
     """
     side = np.ones((1, HOLE_SIDE, HOLE_SIDE), bool)
     holes = np.zeros_like(finite)
@@ -257,7 +274,10 @@ def outside_holes(finite: np.ndarray) -> np.ndarray:
 
 
 def _finite(pieces: list[object]) -> np.ndarray | None:
-    """Packed masks (2, steps, bytes) of measured nodes and of nodes outside holes; None if complete."""
+    """Return two packed masks (2, steps, bytes): nodes measured in all fields, and nodes outside holes.
+
+    `pieces` has the same part of each field. None if no value is missing.
+    """
     mask = None
     for part in pieces:  # one field at a time saves memory
         block = np.asarray(part)
@@ -270,7 +290,10 @@ def _finite(pieces: list[object]) -> np.ndarray | None:
 
 
 def _runs(valid_steps: np.ndarray) -> tuple[list[tuple[int, int]], list[int]]:
-    """Runs of valid steps, joined across short gaps, and the steps of these gaps."""
+    """Return the runs of valid steps, as (first, past the last), and the steps between joined runs.
+
+    Runs are joined across gaps of at most `LONGEST_BRIDGE` steps.
+    """
     edges = np.flatnonzero(np.diff(np.r_[False, valid_steps, False].astype(int)))
     runs: list[tuple[int, int]] = []
     bridged: list[int] = []
@@ -339,14 +362,17 @@ def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Re
 
 @dataclass(frozen=True)
 class _ValidNodes:
-    """Masks of measured nodes and of nodes outside holes, as packed bits, for pieces of the record."""
+    """Masks of measured nodes and of nodes outside holes, packed as bits, for each piece of a record."""
 
     pieces: Sequence[tuple[int, int]]
     masks: Sequence[np.ndarray | None]  # None for a piece without gaps
     shape: tuple[int, int]
 
     def __iter__(self) -> Iterator[tuple[slice, np.ndarray | None]]:
-        """Yield the steps of each piece and its masks (2, steps, ny, nx), or None if it is complete."""
+        """Yield the steps of each piece and its masks (2, steps, ny, nx): measured, and outside holes.
+
+        The masks are None if the piece has no gaps.
+        """
         ny, nx = self.shape
         for mask, (a, b) in zip(self.masks, self.pieces):
             if mask is None:
@@ -357,7 +383,10 @@ class _ValidNodes:
 
 
 def _measured(cube: object, steps: int) -> np.ndarray:
-    """Steps that ``frame_status`` marks as measured; all steps if the cube has no such variable."""
+    """Return a mask of the steps that ``frame_status`` marks as measured.
+
+    All steps are True if the cube has no such variable.
+    """
     if isinstance(cube, xr.Dataset) and "frame_status" in cube:
         done = FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS
         return np.isin(cube["frame_status"].values, done)
@@ -365,7 +394,10 @@ def _measured(cube: object, steps: int) -> np.ndarray:
 
 
 def _valid_steps(valid_nodes: _ValidNodes, measured: np.ndarray) -> np.ndarray:
-    """Measured steps with at least half as many values as the median step."""
+    """Return a mask of the measured steps with at least half as many values as the median step.
+
+    Raises CubeError if no step has a value.
+    """
     ny, nx = valid_nodes.shape
     count = np.full(measured.size, ny * nx)
     for steps, there in valid_nodes:
@@ -381,7 +413,11 @@ def _valid_steps(valid_nodes: _ValidNodes, measured: np.ndarray) -> np.ndarray:
 def _rectangle(
     valid_nodes: _ValidNodes, valid_steps: np.ndarray, open_water: np.ndarray
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Largest rectangle, as ranges of y and x, of unmasked nodes that are measured at most valid steps."""
+    """Return the largest rectangle of nodes that can be used, as ranges (first, past the last) of y and x.
+
+    Its nodes are in `open_water` (never masked), measured at half of the valid steps or more, and outside
+    holes at nine tenths of them. Raises CubeError if it has fewer than 8 nodes a side.
+    """
     times = np.zeros((2, *valid_nodes.shape), int)  # number of steps measured, and outside of holes
     for steps, there in valid_nodes:
         valid = valid_steps[steps]
@@ -400,7 +436,10 @@ def _rectangle(
 
 
 def _never_masked(cube: xr.Dataset | xr.DataArray, valid_nodes: _ValidNodes) -> np.ndarray:
-    """Nodes (ny, nx) that are masked at no step; masked nodes are not water and must not be filled."""
+    """Return a mask (ny, nx) of the nodes that ``quality`` marks as masked at no step.
+
+    Masked nodes are not water, and must not be filled.
+    """
     out = np.ones(valid_nodes.shape, bool)
     if isinstance(cube, xr.Dataset) and "quality" in cube:
         for steps, there in valid_nodes:
@@ -429,8 +468,10 @@ def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
 
 
 def filled_error(record: Record, field: xr.DataArray) -> float:
-    """Standard deviation of the error at filled nodes, measured at nodes that are present (`fill_error`).
-    0 without filled nodes; NaN if the runs are too short to measure it.
+    """Return the standard deviation of the error at filled nodes, in units of the field.
+
+    It is measured by `fill_error`, at some steps. It is 0 if no node was filled, and NaN if the runs are too
+    short to measure it.
     """
     if not record.holes:
         return 0.0
@@ -446,6 +487,9 @@ def filled_error(record: Record, field: xr.DataArray) -> float:
 
 
 def filled_density(record: Record, field: xr.DataArray) -> float:
-    """Contribution of the errors of filled nodes to E(omega) of a field, for white errors up to Nyquist."""
+    """Return what the errors of filled nodes add to E(omega) of a field.
+
+    The errors are taken as white up to the Nyquist frequency. 0 if they are unknown.
+    """
     share = record.holes / max(record.steps_in_runs() * record.shape[0] * record.shape[1], 1)
     return float(np.nan_to_num(share * filled_error(record, field) ** 2 * record.dt / np.pi))

@@ -13,7 +13,7 @@ HANN_CORRELATION = 1.0, (2 / 3) ** 2, (1 / 6) ** 2
 
 @dataclass(frozen=True, eq=False)
 class Rings:
-    """Rings of the k plane of one rectangle of nodes."""
+    """Rings of equal width in |k|, and the share of each cell of the k plane in each ring."""
 
     k: np.ndarray  # centres, (rings,), rad/m
     dk: float  # width, rad/m
@@ -43,7 +43,10 @@ def half_plane(ny: int, nx: int, dy: float, dx: float) -> np.ndarray:
 
 
 def mirror_weights(nx: int) -> np.ndarray:
-    """Weights of the columns kx >= 0, (nx // 2 + 1,), in sums over the full plane of a real field."""
+    """Return weights of the columns kx >= 0, (nx // 2 + 1,), for sums over the full k plane.
+
+    They count the columns kx < 0, which mirror those of kx > 0 for a real field.
+    """
     weights = np.full(nx // 2 + 1, 2.0)
     weights[0] = 1
     if nx % 2 == 0:
@@ -52,7 +55,10 @@ def mirror_weights(nx: int) -> np.ndarray:
 
 
 def _hann_overlap(n: int) -> sparse.csr_array:
-    """Squared correlation of the lines of a periodic Hann-windowed transform, (n, n)."""
+    """Return the squared correlation between the lines of a Hann-windowed transform, (n, n).
+
+    It is that of noise with a flat spectrum.
+    """
     rows = np.arange(n)
     out = sparse.eye_array(n, format="csr") * HANN_CORRELATION[0]
     for shift, value in enumerate(HANN_CORRELATION[1:], start=1):
@@ -63,8 +69,10 @@ def _hann_overlap(n: int) -> sparse.csr_array:
 
 @lru_cache(maxsize=8)
 def rings(ny: int, nx: int, dy: float, dx: float) -> Rings:
-    """Rings of the k plane, as wide as a cell; the corners beyond the Nyquist wavenumber are included.
-    Every cell is split into 8 x 8 parts, and each part belongs to the ring of its centre.
+    """Divide the k plane of a rectangle of nodes into rings as wide as its cells.
+
+    The corners beyond the Nyquist wavenumber are included. Every cell is split into 8 x 8 parts, and each
+    part belongs to the ring in which its centre lies. `dy` and `dx` are distances of nodes, m.
     """
     cell_y, cell_x = 2 * np.pi / (ny * dy), 2 * np.pi / (nx * dx)
     dk = max(cell_y, cell_x)

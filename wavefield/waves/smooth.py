@@ -37,11 +37,12 @@ CURRENT_ERROR = 0.2  # m/s, chosen: prior standard deviation of the current abou
 
 
 class PlaneWaves:
-    """Linear model of z, u, v and the rate of rise: free plane waves on a current, and a constant per field.
+    """Linear model of z, u, v and the rate of rise: free waves on a current, plus a constant per field.
 
-    Unknowns are the complex amplitudes of the waves and the constants, over a rectangle of nodes and a window
-    of times. The wave vectors lie on rings of |k|, closer than the resolution of the rectangle, so that the
-    fields need not be periodic.
+    The unknowns are the complex amplitudes of plane waves and one constant for each field, over a rectangle
+    of nodes and a window of times. An array of n unknowns holds the n real parts, then the n imaginary parts.
+    The wave vectors lie on rings of |k|, closer than the resolution of the rectangle, so that the fields need
+    not be periodic.
     """
 
     def __init__(
@@ -85,20 +86,23 @@ class PlaneWaves:
         self.response = np.concatenate([wave[:, None] * turning, constant], axis=2)
 
     def fields(self, unknowns: Array) -> Array:
-        """Fields (fields, times, ny, nx) from the real, then imaginary parts of the unknowns."""
+        """Return the fields z, u, v, rate of rise (fields, times, ny, nx) for given unknowns."""
         return self._sums(self.response, unknowns)
 
     def slopes(self, unknowns: Array, time: int) -> Array:
-        """Slopes z_x, z_y, (2, ny, nx), at one time."""
+        """Return the slopes z_x, z_y, (2, ny, nx), for given unknowns; `time` is an index."""
         return self._sums(self._slope_response(time)[:, None], unknowns)[:, 0]
 
     def _slope_response(self, time: int) -> NDArray[np.complex128]:
-        """Response of z_x, z_y to each unknown, (2, unknowns)."""
+        """Return the response of z_x and z_y to each unknown, (2, unknowns); `time` is an index."""
         k = np.stack([np.append(self.kx, 0.0), np.append(self.ky, 0.0)])
         return np.asarray(1j * k[:, self.vector] * self.response[0, time])
 
     def change_with_current(self, unknowns: Array) -> list[Array]:
-        """Derivatives of the fields (fields, times, ny, nx) with respect to the current along x and y."""
+        """Return the derivatives of the fields with respect to the current along x, and along y.
+
+        Both are (fields, times, ny, nx).
+        """
         out = []
         for k in (self.kx, self.ky):
             changed = np.zeros_like(self.response)
@@ -108,7 +112,10 @@ class PlaneWaves:
         return out
 
     def _sums(self, response: NDArray[np.complex128], unknowns: Array) -> Array:
-        """Sum over the unknowns of responses (fields, times, unknowns), at every node."""
+        """Return the fields (fields, times, ny, nx) that the unknowns give.
+
+        `response` (fields, times, unknowns) is that of each field to each unknown.
+        """
         real, imaginary = np.split(unknowns, 2)
         each = response * (real + 1j * imaginary)
         n = self.kx.size
@@ -117,14 +124,20 @@ class PlaneWaves:
         return np.asarray((flat @ self.basis.T).reshape(*each.shape[:2], *self.shape))
 
     def transposed(self, weighted: Array) -> Array:
-        """Transpose of `fields`: inner products of the responses with fields (fields, times, ny, nx)."""
+        """Apply the transpose of `fields` to an array (fields, times, ny, nx).
+
+        Returns the inner product of the array with the response to each unknown, real then imaginary parts.
+        """
         sums = weighted.reshape(-1, self.basis.shape[0]) @ self.basis
         real, imaginary = np.split(sums.reshape(*weighted.shape[:2], -1), 2, axis=-1)
         out = ((real + 1j * imaginary)[..., self.vector] * self.response).sum(axis=(0, 1))
         return np.concatenate([out.real, -out.imag])
 
     def products(self, mask: Mask) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Sums over the nodes of `mask` of conj(E_k) E_l and of E_k E_l, with the plane waves E."""
+        """Return the sums of conj(E_k) E_l and of E_k E_l over the nodes of `mask` (ny, nx).
+
+        E_k is the plane wave exp(i k . x) of unknown k, or 1 for a constant. Both are (unknowns, unknowns).
+        """
         real, imaginary = np.split(self.basis[mask.ravel()], 2, axis=1)
         waves = real + 1j * imaginary
         at = np.ix_(self.vector, self.vector)
@@ -133,7 +146,10 @@ class PlaneWaves:
     def normal(
         self, products: tuple[NDArray[np.complex128], ...], variance: Sequence[float] | Array
     ) -> Array:
-        """Normal matrix of least squares for the noise variance of each field, from `products`."""
+        """Return the normal matrix of the least-squares fit, (2 n, 2 n), for n unknowns.
+
+        `products` is the result of the method of that name; `variance` has the noise variance of each field.
+        """
         q = self.response.reshape(FIELDS, self.times.size, -1) / np.sqrt(np.asarray(variance))[:, None, None]
         q = q.reshape(-1, self.vector.size)
         hermitian, symmetric = products[0] * (q.conj().T @ q), products[1] * (q.T @ q)
@@ -142,7 +158,10 @@ class PlaneWaves:
         return 0.5 * np.concatenate([upper, lower])
 
     def rows(self, nodes: NDArray[np.intp], time: int) -> Array:
-        """Response of the fields and the slopes z_x, z_y at some nodes, (6, nodes, 2 unknowns)."""
+        """Return the response of four fields and the slopes z_x, z_y at some nodes, (6, nodes, 2 unknowns).
+
+        `nodes` are indices in the flattened rectangle, and `time` is the index of a time.
+        """
         real, imaginary = np.split(self.basis[nodes], 2, axis=1)
         response = np.concatenate([self.response[:, time], self._slope_response(time)])
         each = (real + 1j * imaginary)[:, self.vector] * response[:, None]
@@ -150,7 +169,10 @@ class PlaneWaves:
 
 
 class Posterior:
-    """Gaussian posterior of the unknowns, from a normal matrix and prior variances."""
+    """Gaussian posterior of the unknowns of `PlaneWaves`.
+
+    It is computed from the normal matrix of the fit and the prior variance of each unknown.
+    """
 
     def __init__(self, normal: Array, prior: Array) -> None:
         self.scale = np.sqrt(np.tile(prior, 2))
@@ -159,25 +181,35 @@ class Posterior:
         self._lower = scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True, check_finite=False)
 
     def solve(self, right: Array) -> Array:
-        """Mean of the unknowns for a right-hand side, `PlaneWaves.transposed` of fields over variances."""
+        """Return the posterior mean of the unknowns.
+
+        `right` is `PlaneWaves.transposed` of the fields divided by their noise variances.
+        """
         out = scipy.linalg.cho_solve((self._lower, True), self.scale * right, check_finite=False)
         return np.asarray(self.scale * out)
 
     def covariance(self, rows: Array) -> Array:
-        """Covariance, (nodes, r, r), of linear functions of the unknowns, (r, nodes, 2 unknowns)."""
+        """Return the covariance of r linear functions of the unknowns at some nodes, (nodes, r, r).
+
+        `rows` (r, nodes, 2 unknowns) has their coefficients.
+        """
         flat = (rows * self.scale).reshape(-1, self.scale.size).T
         half = scipy.linalg.solve_triangular(self._lower, flat, lower=True, check_finite=False)
         half = half.reshape(-1, *rows.shape[:2])
         return np.asarray(np.einsum("prn,psn->nrs", half, half, optimize=True))
 
     def covariance_of_unknowns(self) -> Array:
-        """Covariance of the real parts, then the imaginary parts, of the n unknowns: (2 n, 2 n)."""
+        """Return the covariance (2 n, 2 n) of the real, then the imaginary parts of the n unknowns."""
         lower, _ = scipy.linalg.lapack.dpotri(self._lower, lower=True)
         inverse = np.tril(lower) + np.tril(lower, -1).T
         return np.asarray(self.scale[:, None] * inverse * self.scale)
 
     def solve_partial(self, waves: PlaneWaves, fields: Array, weight: Array) -> Array:
-        """Unknowns of fields with missing nodes, by conjugate gradients preconditioned with this fit."""
+        """Return the posterior mean of the unknowns for fields with missing nodes.
+
+        `weight` is 1 / noise variance, and 0 at missing nodes. The equations are solved by conjugate
+        gradients, with the fit to all nodes as the preconditioner.
+        """
         size = self.scale.size
         matrix = LinearOperator(
             (size, size), lambda x: x / self.scale**2 + waves.transposed(weight * waves.fields(x))
@@ -189,7 +221,7 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Learned:
-    """Spectrum, noise and current, estimated from sample windows of a record; arrays are (fields,)."""
+    """Wave spectrum, noise and current, estimated from sample windows; arrays are (fields,) unless stated."""
 
     prior: Array  # (groups,): variance of the amplitudes on each ring, and of the constants
     variance: Array  # median of the squared standard uncertainties of the cube
@@ -200,11 +232,12 @@ class Learned:
 
 
 def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array, mean: Array) -> Learned:
-    """Estimate spectrum, noise and current from windows (fields, times, ny, nx) that are 0 outside the mask.
+    """Estimate spectrum, noise and current from sample windows (fields, times, ny, nx).
 
-    ``variance`` (fields,) is that of the cube; ``mean``, the mean velocity (2,), m/s, is the first current.
-    The spectrum is estimated by expectation maximisation: in each round, the variance of a ring becomes the
-    mean square of its amplitudes plus their variance.
+    The windows are 0 outside ``mask`` (ny, nx). ``variance`` (fields,) has the squared standard uncertainties
+    of the cube; ``mean`` (2,), the mean velocity, m/s, is the first estimate of the current. The spectrum is
+    estimated by expectation maximisation: in each round, the variance of a ring becomes the mean square of
+    its amplitudes plus their posterior variance. The current of `waves` is set to the result.
     """
     products = waves.products(mask)
     # the noise that resembles waves is estimated on an orthogonal basis of all plane waves
@@ -250,7 +283,11 @@ def _current_step(
     weight: Array,
     expected: Array,
 ) -> Array:
-    """Gauss-Newton step of the current, (2,), m/s, from the residuals of the windows."""
+    """Return a Gauss-Newton step of the current, (2,), m/s.
+
+    `found` has the unknowns and `rest` the residuals of each window; `weight` is 1 / noise variance.
+    `expected` is the step that leads to the prior mean of the current.
+    """
     normal = np.eye(2) / CURRENT_ERROR**2
     right = expected / CURRENT_ERROR**2
     for x, left in zip(found, rest):
@@ -279,7 +316,7 @@ VARIANCE_SPACING = 5  # chosen: the variance of the fit is computed at every fif
 
 
 class _Smoother:
-    """Smooths the steps of a record; holds the rectangles and the learned spectrum that all steps use."""
+    """Smooths single steps of a record; holds the rectangles, spectrum, noise and current for all steps."""
 
     def __init__(
         self, shape: tuple[int, int], step: float, dt: float, water: tuple[float, float], steps: int
@@ -305,7 +342,11 @@ class _Smoother:
         self._fits: dict[int, tuple[Posterior, Array]] = {}
 
     def parts(self, window: Array) -> tuple[Array, Array, Array]:
-        """z, u, v, rise (4, times, ny, nx), 0 where not measured; variances; whether nodes are measured."""
+        """Return fields, variances and mask of a window.
+
+        Fields z, u, v and rate of rise and their variances are (4, times, ny, nx), 0 and 1 at nodes that are
+        not measured; the mask (times, ny, nx) is True at measured nodes.
+        """
         z, u, v, w = window[:4].astype(float)
         z_y, z_x = slopes(z, self.step, self.step)
         fields = np.stack([z, u, v, w - u * z_x - v * z_y])
@@ -317,7 +358,11 @@ class _Smoother:
         return np.where(there, fields, 0.0), np.where(there, variance, 1.0), there
 
     def study(self, windows: list[Array]) -> None:
-        """Learn from the sample windows (9, times, ny, nx) with most nodes, at nodes measured in all."""
+        """Learn spectrum, noise and current from sample windows (9, times, ny, nx).
+
+        Only the half of the windows with most measured nodes is used, in the rectangle with most nodes that
+        are measured at all times. Raises CubeError if these are fewer than a quarter.
+        """
         parts = [self.parts(window) for window in windows]
         shares = [there.mean() for _, _, there in parts]
         parts = [parts[i] for i in np.argsort(shares, kind="stable")[len(parts) // 2 :]]
@@ -338,7 +383,10 @@ class _Smoother:
         self.learned = learn(self.waves, mask, samples, variance, mean)
 
     def fit_of(self, number: int) -> tuple[Posterior, Array]:
-        """Posterior of a tile, and the covariance (ny, nx, 6, 6) of its fields and slopes at mid-time."""
+        """Return the posterior of rectangle `number`, and the covariance of its fields at the middle time.
+
+        The covariance (ny, nx, 6, 6) is of z, u, v, rate of rise, z_x and z_y. Both are computed once.
+        """
         if number not in self._fits:
             waves, mask = self.waves, self.mask[self.tiles[number]]
             normal = waves.normal(waves.products(mask), self.learned.noise)
@@ -352,7 +400,10 @@ class _Smoother:
         return self._fits[number]
 
     def smoothed(self, window: Array) -> Array:
-        """z, u, v, w and their standard uncertainties, (8, ny, nx), at the middle of a window."""
+        """Return z, u, v, w and their standard uncertainties, (8, ny, nx), at the middle of a window.
+
+        Nodes that are not measured, and windows across a jump of time, are returned unchanged.
+        """
         own = window[:8, self.steps]
         if (window[8] == JUMP_OF_TIME).any():
             return own.astype(np.float32)
@@ -371,7 +422,11 @@ class _Smoother:
         return np.where(usable, total, own).astype(np.float32)
 
     def _tile(self, number: int, fields: Array, variance: Array, there: Array, own: Array) -> Array:
-        """z, u, v, w and their variances, (8, ny, nx), of a tile at the middle of the window."""
+        """Return z, u, v, w and their variances, (8, ny, nx), of rectangle `number` at the middle time.
+
+        `there` (times, ny, nx) is True at measured nodes; `own` has the measured z, u, v, w at the middle
+        time.
+        """
         waves, learned, middle = self.waves, self.learned, self.steps
         posterior, covariance = self.fit_of(number)
         mask = self.mask[self.tiles[number]]

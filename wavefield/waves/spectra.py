@@ -58,7 +58,10 @@ Array = NDArray[Any]
 
 
 def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return E(k, omega) as given, or computed from a field; raise CubeError for anything else."""
+    """Return E(k, omega) as given, or computed from a field, and an empty dict of parameters.
+
+    Raises CubeError for any other argument; `name` is the name of the estimator, for the message.
+    """
     if is_field(given):
         return komega(given), {}
     if isinstance(given, xr.Dataset) and "E" in given and {"omega", "k"} <= {*given["E"].dims}:
@@ -70,19 +73,25 @@ def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
 
 
 def _name(field: xr.DataArray) -> str:
-    """Name of a field for the attributes of its spectra."""
+    """Return the name of a field (its ``long_name`` if it has one) for the attributes of its spectra."""
     return str(field.attrs.get("long_name", field.name))
 
 
 def _transform(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
-    """Spatial transform, (cells, steps), of half a segment of the field."""
+    """Return the spatial transform of half a segment of a field, (cells, steps), under the name ``f``.
+
+    Empties `blocks`, and writes into the array ``f`` of `memory` if it has one.
+    """
     return {"f": transform_space(blocks.pop(), memory.get("f"))}
 
 
 def _add_powers(
     sums: dict[str, Array], first: dict[str, Array], second: dict[str, Array], begin: int
 ) -> None:
-    """Add the power, (cells, n), of the segment made of two halves, to ``sums``."""
+    """Transform the segment made of the halves `first` and `second` in time, and add its power to `sums`.
+
+    ``sums["power"]`` is (cells, n). `begin` is not used.
+    """
     cells, half = first["f"].shape
     power = np.zeros((cells, 2 * half), first["f"].real.dtype)
     transform = TimeTransform(half, first["f"].dtype)
@@ -92,8 +101,10 @@ def _add_powers(
 
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
-    """Convert power on kx >= 0, (cells, n), to omega >= 0 on the whole plane, (n // 2 + 1, ny, nx).
-    k is ascending and points where waves go: numpy's transform has cos(k . x - omega t) at (k, -omega).
+    """Convert the power on kx >= 0, (cells, n), to omega >= 0 on the whole k plane, (n // 2 + 1, ny, nx).
+
+    In the result, kx and ky ascend, and k points where waves go: numpy's transform has cos(k . x - omega t)
+    at (k, -omega). Values between frequency 0 and Nyquist are doubled, to account for omega < 0.
     """
     n = power.shape[-1]
     power = power.reshape(ny, nx // 2 + 1, n)
@@ -109,7 +120,7 @@ def unfold(power: Array, ny: int, nx: int) -> Array:
 
 
 def density(power: Array, welch: Welch) -> Array:
-    """E, (omega, ky, kx), from powers on kx >= 0, (cells, n), summed over segments."""
+    """Return E(omega, ky, kx) from the power on kx >= 0, (cells, n), summed over segments."""
     values = unfold(power, *welch.record.shape)
     values *= power.dtype.type(welch.density)
     return values
@@ -167,7 +178,10 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
 
 
 def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dataset:
-    """Add coordinates, degrees of freedom and units to the values (omega, ky, kx) of a spectrum."""
+    """Return a spectrum (omega, ky, kx) as a Dataset ``E`` with coordinates and degrees of freedom.
+
+    `values` is the spectrum; `name` and `units` are those of the field.
+    """
     low, high = interval(welch.dof)
     parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}
     out = xr.Dataset(parts, coords=omega_coords(welch.omega) | welch.plane, attrs=welch.attrs)
@@ -197,13 +211,19 @@ def total(density: xr.DataArray) -> xr.DataArray:
 
 
 def _transform_and_points(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
-    """Spatial transform of half a segment, and the values at some nodes, (nodes, steps)."""
+    """Return the spatial transform ``f`` of half a segment, and ``points``, the field at 16 nodes.
+
+    ``f`` is (cells, steps) and ``points`` (nodes, steps).
+    """
     points = some_nodes(blocks[0])
     return {"f": transform_space(blocks.pop(), memory.get("f")), "points": points}
 
 
 def _transform_and_nodes(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
-    """As `_transform_and_points`, and the values of all nodes, two per complex number, (pairs, steps)."""
+    """Return the arrays of `_transform_and_points`, and ``nodes``, the field at all nodes.
+
+    ``nodes`` is (pairs, steps): the values of two nodes are the real and imaginary parts of one number.
+    """
     flat = blocks[0].reshape(blocks[0].shape[0], -1)
     pairs = np.ascontiguousarray(flat[:, : flat.shape[1] // 2 * 2])  # an odd node is left out
     nodes = pairs.view(np.result_type(pairs.dtype, np.complex64)).T
@@ -211,7 +231,10 @@ def _transform_and_nodes(blocks: list[Array], link: Link, memory: dict[str, Arra
 
 
 def _powers_of_nodes(first: Array, second: Array) -> Array:
-    """Power of a segment for omega >= 0, summed over nodes, (n // 2 + 1,), from pairs of nodes."""
+    """Return the power of a segment for omega >= 0, summed over nodes, (n // 2 + 1,).
+
+    `first` and `second` are its halves (pairs, steps), with two nodes in one complex number.
+    """
     half = first.shape[1]
     transform, sums = TimeTransform(half, first.dtype), np.zeros((CELLS, 2 * half))
     for slab in slabs(first.shape[0]):
@@ -224,7 +247,11 @@ def _powers_of_nodes(first: Array, second: Array) -> Array:
 def _add_ring_powers(
     table: rings.Rings, sums: dict[str, Array], first: dict[str, Array], second: dict[str, Array], begin: int
 ) -> None:
-    """Add the power of a segment, summed over rings of the k plane, and keep Fourier lines of some nodes."""
+    """Add the power of a segment, summed over the cells of each ring, to ``sums["f"]``.
+
+    The segment consists of the halves `first` and `second`, and begins at step `begin`. Fourier lines of its
+    ``points`` are added to `sums`, and the power of its ``nodes`` if it has them.
+    """
     cells, half = first["f"].shape
     power = sums.setdefault("f", np.zeros((2, table.k.size, half + 1)))
     transform = TimeTransform(half, first["f"].dtype)
@@ -260,7 +287,7 @@ def komega(
     -------
     Dataset
         Over (omega, k): ``E``, in the field's units squared per rad/m and rad/s; its degrees of freedom
-        ``dof``; ``low`` and ``high``, which times E are the limits of the 95 % interval; ``valid``. Over k:
+        ``dof``; ``low`` and ``high``, factors from E to the limits of its 95 % interval; ``valid``. Over k:
         ``coverage``, the fraction of each ring that the grid samples, and ``cells``, the number of its
         cells. If no node is missing, ``E_nodes`` (omega), the mean of the spectra of all nodes.
 
@@ -312,7 +339,7 @@ def komega(
 
 
 def _attrs_of_sum(given: xr.DataArray | xr.Dataset, axis: str) -> dict[str, Any]:
-    """Attributes of E(omega) or E(k), with the name and units of the field."""
+    """Return the attributes of E(omega) or E(k), as `axis` is omega or k: name and units."""
     if "field" not in given.attrs:  # several quantities of an analysis
         return TABLE[f"spectra/E_{axis}"].attrs
     return TABLE[f"{axis}/E"].of(given.attrs["field"], density_units(given.attrs["field_units"], axis))
@@ -331,7 +358,7 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     -------
     Dataset
         Over omega: ``E``, in the field's units squared per rad/s; its degrees of freedom ``dof``; ``low`` and
-        ``high``, which times E are the limits of the 95 % interval; ``valid``. A dimension ``quantity``
+        ``high``, factors from E to the limits of its 95 % interval; ``valid``. A dimension ``quantity``
         of the input is kept.
 
     Raises
@@ -379,7 +406,7 @@ def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     -------
     Dataset
         Over k: ``E``, the integral of E(k, omega) over omega, in the field's units squared per rad/m; its
-        degrees of freedom ``dof``; ``low`` and ``high``, which times E are the limits of the 95 % interval. A
+        degrees of freedom ``dof``; ``low`` and ``high``, factors from E to the limits of its 95 % interval. A
         dimension ``quantity`` of the input is kept.
 
     Raises
@@ -406,8 +433,11 @@ PLANE = {"omega", "ky", "kx"}
 
 
 def plane_of(field: str, segment: int | None = None) -> Convert:
-    """Return a converter to E(omega, ky, kx) from a spectrum, a result of `spectrum`, a field or a cube.
-    Of a cube, the spectrum of `field` is computed.
+    """Return a function that converts the argument of an estimator to E(omega, ky, kx).
+
+    The argument is a spectrum, a result of `spectrum`, a field or a cube. From a cube, the spectrum of the
+    variable `field` is computed. The function also returns stored parameters: depth, surface tension and
+    degrees of freedom.
     """
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
@@ -433,25 +463,34 @@ def plane_of(field: str, segment: int | None = None) -> Convert:
 
 
 def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> xr.DataArray:
-    """Labelled E(omega, ky, kx) of z or w, from the sums of an analysis."""
+    """Return E(omega, ky, kx) of the field `name`, z or w, from the sums of an analysis.
+
+    Removes the power from `sums` to free memory.
+    """
     power = sums.pop(f"map {name}")  # frees memory: no other product needs it
     values = xr.Variable(("omega", "ky", "kx"), density(power, welch))
     return plane_density(values, FIELD_TEXTS[name], FIELD_UNITS[name], welch)["E"]
 
 
 def _sum_of_lines(w: xr.DataArray) -> xr.DataArray:
-    """E(ky, kx) of w up to a factor: much smaller than E(omega, ky, kx), for products on workers."""
+    """Return the sum of E(omega, ky, kx) of w over omega, (ky, kx).
+
+    It is much smaller than the spectrum, for products that are computed on workers.
+    """
     return w.sum("omega")
 
 
 def map_lines(welch: Welch, frequencies: Sequence[float]) -> list[int]:
-    """Indices of the spectral lines nearest to the given frequencies, Hz."""
+    """Return the indices of the spectral lines nearest to the given frequencies, Hz, without repetition.
+
+    The line at frequency 0, and frequencies from the line below Nyquist on, are left out.
+    """
     lines = welch.omega / (2 * np.pi)
     return sorted({int(np.abs(lines - f).argmin()) for f in frequencies if f < lines[-2]} - {0})
 
 
 def maps(z: xr.DataArray, w: xr.DataArray, lines: list[int]) -> xr.Dataset:
-    """E(ky, kx) of z and w at some lines, (quantity_map, omega_map, ky, kx)."""
+    """Return E(ky, kx) of z and w at the given lines: ``E_kxky`` (quantity_map, omega_map, ky, kx)."""
     both = xr.concat([z.isel(omega=lines), w.isel(omega=lines)], xr.Variable("quantity_map", ["z", "w"]))
     return both.drop_vars("frequency").rename(omega="omega_map").drop_attrs().to_dataset(name="E_kxky")
 

@@ -31,12 +31,15 @@ REACH = 4  # lines or cells on either side, beyond which a Hann window spreads l
 
 
 def hann(n: int) -> np.ndarray:
-    """Hann window with a half-sample offset, (n,): periodic, symmetric and without a zero sample."""
+    """Return a Hann window (n,), offset by half a sample: periodic, symmetric and nowhere zero."""
     return 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(n) + 0.5) / n)
 
 
 def hann_power(distance: np.ndarray) -> np.ndarray:
-    """Power that a wave contributes to a line of a Hann window, at a distance in lines; 1 at distance 0."""
+    """Return the power that a wave contributes to a spectral line under a Hann window.
+
+    `distance` is that between wave and line, in lines; at distance 0 the power is 1.
+    """
     off = np.where(np.abs(np.abs(distance) - 1) < 1e-9, 0.0, 1 - distance**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         amplitude = np.where(off == 0, 0.5, np.sinc(distance) / off)
@@ -44,7 +47,7 @@ def hann_power(distance: np.ndarray) -> np.ndarray:
 
 
 def segment_count(steps: int, segment: int) -> int:
-    """Segments of length `segment`, overlapping by half, in `steps` steps."""
+    """Return how many segments of `segment` steps, overlapping by half, fit into `steps` steps."""
     half = segment // 2
     return max(steps // half - 1, 0)
 
@@ -62,22 +65,28 @@ def choose_segment(steps: int) -> int:
 
 
 def overlap_factor(segments: float) -> float:
-    """Variance of a mean over half-overlapping Hann segments, relative to independent ones (Welch 1967)."""
+    """Return the variance of a mean over half-overlapping Hann segments, as a multiple.
+
+    It is relative to the variance for as many independent segments (Welch 1967).
+    """
     return 1 + 2 * (1 - 1 / segments) / 36
 
 
 def degrees_of_freedom(segments: float) -> float:
-    """Degrees of freedom of a spectral cell from half-overlapping Hann segments."""
+    """Return the degrees of freedom of one cell of a spectrum over half-overlapping Hann segments."""
     return 2 * segments / overlap_factor(segments)
 
 
 def effective_duration(segments: float, length: float) -> float:
-    """Effective duration of half-overlapping segments: (int w)^2 / int w^2 of summed squared windows w."""
+    """Return the effective duration of half-overlapping segments, in the unit of `length`.
+
+    It is (int w)^2 / int w^2, where w is the sum of the squared windows and `length` the length of a segment.
+    """
     return length * 18 * segments**2 / (38 * segments - 3)
 
 
 def interval(dof: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-    """Limits of the 95 % confidence interval of a spectrum, as factors of the estimate."""
+    """Return two factors: a spectrum times these is the low and high limit of its 95 % interval."""
     dof = np.asarray(dof, float)
     unique, index = np.unique(dof, return_inverse=True)  # many cells have the same number
     quantiles = 1 - CHANCE / 2, CHANCE / 2  # of chi-squared
@@ -92,9 +101,11 @@ def richardson_lucy(
     corrected: Callable[[np.ndarray, np.ndarray], np.ndarray],
     rounds: int,
 ) -> np.ndarray:
-    """Deconvolve a spectrum: non-negative, and the window turns it into the measured one (Richardson 1972).
-    ``corrected(estimate, ratio)`` multiplies the estimate by the window's mean of the ratio of the measured
-    spectrum to ``through_window(estimate)``.
+    """Deconvolve a spectrum: return a non-negative one that the window turns into `measured`.
+
+    `estimate` is the spectrum to begin with, and `rounds` the number of iterations (Richardson 1972).
+    ``through_window(estimate)`` blurs a spectrum by the window. ``corrected(estimate, ratio)`` multiplies the
+    estimate by the ratio of the measured to the blurred spectrum, averaged over the window.
     """
     for _ in range(rounds):
         estimate = corrected(estimate, measured / through_window(estimate))
@@ -109,7 +120,10 @@ Sums = dict[str, np.ndarray]  # transforms of half a segment, or sums over segme
 
 
 def segment_length(record: Record, segment: int | None) -> int:
-    """Segment length to use, checked against the record."""
+    """Return the length of a segment, steps; by default that of `choose_segment`.
+
+    Raises CubeError if it is odd, less than 8, or longer than the longest run of the record.
+    """
     longest = record.longest
     if segment is None:
         segment = choose_segment(longest)
@@ -136,7 +150,11 @@ def _values(part: object) -> np.ndarray:
 def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
-    """Slices to read for steps a to b with a margin, which of them are missing, and a to b within them."""
+    """Return what must be read for the steps a to b (excluded) of a run.
+
+    The results are slices of time, y and x that include a margin for filling gaps; a mask of the missing
+    steps among those read; and the slice of a to b within them.
+    """
     bridged = np.asarray(record.bridged, int)
     reach = FILL_MARGIN if record.holes or bridged.size else 0
     lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
@@ -145,7 +163,7 @@ def _span(
 
 
 class Link(NamedTuple):
-    """Half a segment, the steps ``start`` to ``stop`` of a run; ``new`` unless an earlier chain has it."""
+    """Half a segment: the steps ``start`` to ``stop`` of a run. ``new`` if no earlier chain contains it."""
 
     start: int
     stop: int
@@ -154,14 +172,14 @@ class Link(NamedTuple):
 
 
 class Reader:
-    """Reads pieces of a record when a task needs them."""
+    """Reads steps of the fields of a record, in its rectangle of nodes, and fills their gaps."""
 
     def __init__(self, arrays: Sequence[xr.DataArray], record: Record, first: int = 0) -> None:
         self.arrays, self.record = list(arrays), record
         self.first = first  # step of the record at which the arrays begin
 
     def __call__(self, a: int, b: int, run: tuple[int, int]) -> list[np.ndarray]:
-        """Blocks (b - a, ny, nx), one per field, of the steps a to b of a run, with gaps filled."""
+        """Read the steps a to b (excluded) of a run: a block (b - a, ny, nx) per field, with gaps filled."""
         (steps, *nodes), missing, inner = _span(self.record, a, b, run)
         steps = slice(steps.start - self.first, steps.stop - self.first)
         blocks: list[np.ndarray] = []
@@ -174,13 +192,16 @@ class Reader:
         return blocks
 
     def blocks(self, run: tuple[int, int]) -> Iterator[list[np.ndarray]]:
-        """Yield the blocks of a run, `STEPS_PER_READ` steps at a time."""
+        """Yield the blocks of all steps of a run, `STEPS_PER_READ` steps at a time."""
         for a in range(run[0], run[1], STEPS_PER_READ):
             yield self(a, min(a + STEPS_PER_READ, run[1]), run)
 
 
 def cut_chains(record: Record, segment: int) -> list[list[Link]]:
-    """Chains of at most `CHAIN_LENGTH` consecutive segments, as lists of half segments."""
+    """Divide the segments of a record into chains of at most `CHAIN_LENGTH` consecutive segments.
+
+    A chain is a list of half segments, and successive segments share a half.
+    """
     half = segment // 2
     out = []
     for run in record.runs:
@@ -198,9 +219,11 @@ def sum_chain(
     accumulate: Callable[[Sums, Sums, Sums, int], None],
     links: Sequence[Link],
 ) -> Sums:
-    """Sums over the segments of a chain, which is read in half segments.
-    ``transform(blocks, link, memory)`` transforms a half, in place of older transforms in ``memory``;
-    ``accumulate(sums, first, second, begin)`` adds the segment of two halves that begins at step ``begin``.
+    """Read a chain half segment by half segment, and return the sums over its segments.
+
+    ``transform(blocks, link, memory)`` transforms the fields of a half; it may overwrite the arrays in
+    ``memory``. ``accumulate(sums, first, second, begin)`` adds the segment that consists of two halves and
+    begins at step ``begin``.
     """
     sums: Sums = {}
     previous: Sums = {}
@@ -216,7 +239,11 @@ def sum_chain(
 def sum_segments(
     arrays: Sequence[xr.DataArray], record: Record, segment: int, transform: Any, accumulate: Any
 ) -> Any:
-    """Delayed sum over all chains; stored fields are read in half segments, lazy fields chain by chain."""
+    """Return a Dask delayed object that computes the sums over all segments of a record.
+
+    `transform` and `accumulate` are those of `sum_chain`. Stored fields are read half a segment at a time,
+    and Dask arrays a chain at a time.
+    """
 
     def work(transform: Any, parts: Sequence[xr.DataArray], first: int, links: Sequence[Link]) -> Sums:
         return sum_chain(Reader(parts, record, first=first), transform, accumulate, links)
@@ -243,7 +270,7 @@ def spatial_window(ny: int, nx: int) -> np.ndarray:
 
 
 def window_energy(segment: int, ny: int, nx: int) -> float:
-    """Sum of the squared window over a segment."""
+    """Return the sum of the squared Hann window in time, y and x over a segment."""
     return float((hann(segment) ** 2).sum() * (hann(ny) ** 2).sum() * (hann(nx) ** 2).sum())
 
 
@@ -251,14 +278,17 @@ NODES_PER_AXIS = 4  # nodes per axis at which Fourier lines are kept; chosen: cl
 
 
 def some_nodes(block: np.ndarray) -> np.ndarray:
-    """Values at 4 x 4 evenly spaced nodes of a block (steps, ny, nx), (nodes, steps)."""
+    """Return the values of a block (steps, ny, nx) at 4 x 4 evenly spaced nodes, (16, steps)."""
     middle = (np.arange(NODES_PER_AXIS) + 0.5) / NODES_PER_AXIS
     rows, columns = ((middle * n).astype(int) for n in block.shape[1:])
     return block[:, rows[:, None], columns].reshape(len(block), -1).T
 
 
 def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
-    """Windowed transform in space of a block (steps, ny, nx), (cells, steps); cells are ky x (kx >= 0)."""
+    """Return the Hann-windowed spatial transform of a block (steps, ny, nx), (cells, steps).
+
+    The cells are those of ky x (kx >= 0), flattened. The transform is written into `out` if given.
+    """
     steps, ny, nx = block.shape
     window = spatial_window(ny, nx).astype(block.dtype)
     shape = steps, ny, nx // 2 + 1
@@ -274,13 +304,16 @@ def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def slabs(cells: int) -> Iterator[slice]:
-    """Yield slabs of cells that fit the cache."""
+    """Yield slices of at most `CELLS` cells, whose segments fit the cache of the processor."""
     for a in range(0, cells, CELLS):
         yield slice(a, min(a + CELLS, cells))
 
 
 class TimeTransform:
-    """Transforms segments in time, slab by slab, in work arrays that are allocated once."""
+    """Transforms segments in time, for a slab of cells at once, in arrays that are allocated once.
+
+    `half` is the number of steps in half a segment, and `names` the number of results to hold at a time.
+    """
 
     def __init__(self, half: int, dtype: np.dtype, names: int = 1) -> None:
         dtype = np.dtype(dtype)
@@ -290,7 +323,11 @@ class TimeTransform:
         self.halves = np.empty((2, half * CELLS), dtype)
 
     def __call__(self, first: np.ndarray, second: np.ndarray, name: int = 0) -> np.ndarray:
-        """Windowed transform (cells, n) of the two halves of a segment, without mean and trend."""
+        """Return the Hann-windowed transform (cells, n) of a segment, without its mean and trend.
+
+        `first` and `second` are its halves (cells, n / 2). The next call with the same `name`, an index,
+        overwrites the result.
+        """
         cells = first.shape[0]
         halves = [part[: self.half * cells].reshape(self.half, cells) for part in self.halves]
         for part, given in zip(halves, (first, second)):
@@ -340,7 +377,10 @@ class Welch:
         segment: int | None = None,
         record: Record | None = None,
     ) -> "Welch":
-        """Estimator for fields over (time, y, x), by default with their own record and a default segment."""
+        """Return the estimator for fields over (time, y, x).
+
+        Without `record`, it is found from the fields; without `segment`, its default length is used.
+        """
         record = find_record(fields) if record is None else record
         length = segment_length(record, segment)
         return cls(record, length, frames_of(fields), depth=water_of(fields.attrs)[0])
@@ -352,79 +392,100 @@ class Welch:
 
     @property
     def half(self) -> int:
-        """Steps of half a segment."""
+        """Number of steps of half a segment."""
         return self.segment // 2
 
     @cached_property
     def omega(self) -> Array:
-        """Angular frequencies, (segment // 2 + 1,), rad/s."""
+        """Angular frequencies of the spectral lines, rad/s, (segment // 2 + 1,)."""
         return np.asarray(2 * np.pi * np.arange(self.half + 1) / (self.segment * self.record.dt), float)
 
     @cached_property
     def table(self) -> rings.Rings:
-        """Rings of the k plane."""
+        """Rings of the k plane of the rectangle of nodes."""
         record = self.record
         return rings.rings(*record.shape, record.dy, record.dx)
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of a single cell."""
+        """Degrees of freedom of a single cell (omega, ky, kx) of a spectrum."""
         return degrees_of_freedom(self.count)
 
     @property
     def duration(self) -> float:
-        """Effective duration of the record under the windows of its segments, s."""
+        """Effective duration of the record, s.
+
+        It accounts for the windows, which give the ends of each run less weight.
+        """
         return effective_duration(self.count, self.segment * self.record.dt)
 
     @property
     def density(self) -> float:
-        """Factor from summed |F|^2 to a two-sided density in rad/m, rad/m and rad/s."""
+        """Factor from |F|^2 to a two-sided spectrum per (rad/m)^2 and rad/s.
+
+        |F|^2 is the power of the windowed transform, summed over segments.
+        """
         record = self.record
         energy = window_energy(self.segment, *record.shape)
         return record.dt * record.dy * record.dx / ((2 * np.pi) ** 3 * energy * self.count)
 
     @property
     def node_density(self) -> float:
-        """Factor from one-sided |F|^2, summed over segments and pairs of nodes, to E(omega)."""
+        """Factor from |F|^2 to E(omega).
+
+        |F|^2 is the one-sided power of the transforms in time of pairs of nodes, summed over segments and
+        pairs.
+        """
         ny, nx = self.record.shape
         window = float((hann(self.segment) ** 2).sum()) * self.count
         return self.record.dt / (2 * np.pi * window * (ny * nx // 2 * 2))
 
     @property
     def ring_density(self) -> float:
-        """Factor from ring sums of |F|^2 to E(k, omega)."""
+        """Factor from |F|^2 to E(k, omega).
+
+        |F|^2 is the power of the windowed transform, summed over segments and over the cells of a ring.
+        """
         ny, nx = self.record.shape
         cell = (2 * np.pi) ** 2 / (ny * self.record.dy * nx * self.record.dx)
         return self.density * cell / self.table.dk
 
     @property
     def plane(self) -> Coordinates:
-        """Coordinates ``ky`` and ``kx`` (rad/m), ascending."""
+        """Coordinates ``ky`` and ``kx`` of the k plane (rad/m), ascending."""
         record = self.record
         lengths = zip(("ky", "kx"), record.shape, (record.dy, record.dx))
         return {name: (name, np.sort(rings.wavenumbers(n, step))) for name, n, step in lengths}
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Mask (omega, k): frequencies above the main lobe of the mean, k below the Nyquist wavenumbers."""
+        """Mask (omega, k), True where E(k, omega) is reliable.
+
+        It is False within the main lobe of the mean in omega and in k, at the Nyquist frequency, and in rings
+        that reach beyond the Nyquist wavenumbers.
+        """
         nyquist = np.pi / max(self.record.dy, self.record.dx)
         table = self.table
         in_k = (table.k > MAIN_LOBE * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
         return inner(self.omega.size)[:, None] & in_k
 
     def over_filled(self, energy: Any, added: float) -> Any:
-        """Mask (omega, k): where `energy`, E(k, omega), exceeds four times the error of filled nodes.
+        """Return a mask (omega, k), True where E(k, omega) exceeds four times the error of filled nodes.
 
-        `added` is this error in E(omega); it is taken as white in the plane of k.
+        `energy` is E(k, omega), and `added` what this error adds to E(omega). The error is taken as white in
+        the k plane.
         """
         plane = 2 * np.pi * self.table.k * self.table.coverage
         white = added * plane * self.record.dy * self.record.dx / (2 * np.pi) ** 2
         return energy > MIN_OVER_FILLED * white
 
     def freedom(self, sums: Array) -> Array:
-        """Degrees of freedom (rings, n // 2 + 1) of E(k, omega) from the distribution of energy in a ring.
-        nu (sum A_c E_c)^2 / sum A_c E_c^2 (rho^2 A)_c, for cells c with area shares A and squared
-        correlations rho^2; E_c^2 is <|F_c|^4> / 2, as for Gaussian waves.
+        """Return the degrees of freedom (rings, n // 2 + 1) of E(k, omega).
+
+        `sums` (2, rings, n // 2 + 1) is the result of `kernels.ring_powers`. The result is nu (sum A_c E_c)^2
+        / sum A_c E_c^2 (rho^2 A)_c over the cells c of a ring, with the degrees of freedom nu of a cell, area
+        shares A, energies E and squared correlations rho^2 between cells. E_c^2 is <|F_c|^4> / 2, as for
+        Gaussian waves.
         """
         power, square = sums[0], sums[1]
         filled = power > 0
@@ -439,7 +500,7 @@ class Welch:
 
     @property
     def ring_variables(self) -> Mapping[str, tuple[str, Array]]:
-        """Variables along k of every E(k, omega): coverage and cells."""
+        """Variables over k of every E(k, omega): ``coverage`` and ``cells`` of each ring."""
         return {"coverage": ("k", self.table.coverage), "cells": ("k", self.table.cells)}
 
     @property
@@ -462,8 +523,9 @@ class Welch:
 
 
 def with_stated(given: Any) -> Any:
-    """Field or cube with `path_frames` and properties of the water as coordinates instead of attributes.
-    Any other object is returned unchanged.
+    """Return a field or cube in which `path_frames` and water properties are coordinates.
+
+    Attributes of these names are moved to coordinates. Any other object is returned unchanged.
     """
     if not isinstance(given, xr.DataArray | xr.Dataset):
         return given
@@ -480,7 +542,11 @@ def with_stated(given: Any) -> Any:
 
 
 def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
-    """`path_frames` of a cube: 4, 6 or 7 for velocities along paths, 1 for instantaneous ones, else 2."""
+    """Return `path_frames`, the number of frames from which each velocity was computed.
+
+    It is 1 for instantaneous velocities, 2 for displacements between two frames, and 4, 6 or 7 for velocities
+    along paths. It is 2 if the fields do not state it. Raises CubeError if u, v, w, z_t state different ones.
+    """
     fields = with_stated(fields)
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
@@ -496,7 +562,10 @@ def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
 
 
 def frames_of_meaning(*stated: str) -> int:
-    """`path_frames` of velocities that are stated to be "displacement" or "instantaneous"."""
+    """Return `path_frames` for velocities stated to be "displacement" (2) or "instantaneous" (1).
+
+    Raises CubeError for any other word, or for two different ones.
+    """
     if len(stated) > 1 or stated[0] not in MEANINGS:
         raise CubeError(
             f"the velocities are stated to be {' and '.join(stated)}: state one of {', '.join(MEANINGS)}"
@@ -505,10 +574,11 @@ def frames_of_meaning(*stated: str) -> int:
 
 
 def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
-    """Return the cube with what its velocities are, and a note.
+    """Return the cube with the coordinate `path_frames` for the stated velocities, and a note.
 
-    `meaning` is "displacement" or "instantaneous"; it is stored as `path_frames`. The note is empty unless
-    neither the cube nor `meaning` states it. CubeError if they contradict each other.
+    `meaning` is "displacement" or "instantaneous". With None the cube keeps what it states; if it states
+    nothing, the note says that displacements are assumed. Otherwise the note is empty. Raises CubeError if
+    cube and `meaning` contradict each other.
     """
     cube = with_stated(cube)
     arrays = [cube[name] for name in ("u", "v", "w") if name in cube]
@@ -531,6 +601,9 @@ def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
 
 
 def inner(lines: int) -> NDArray[np.bool_]:
-    """Lines of a spectrum above the main lobe of the mean and below the Nyquist frequency, (lines,)."""
+    """Return a mask (lines,) of the spectral lines of E(omega) that are reliable.
+
+    These lie above the main lobe of the mean and below the Nyquist frequency.
+    """
     index = np.arange(lines)
     return (index >= MAIN_LOBE) & (index < lines - 1)
