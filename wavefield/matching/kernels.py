@@ -42,7 +42,7 @@ inlined = compiled(fastmath=True, error_model="numpy", forceinline=True)
 
 
 class WorkSpace(NamedTuple):
-    """Scratch arrays of the kernels, one set per thread."""
+    """Scratch arrays for the loops over pixels; every thread needs its own set."""
 
     position: Array  # (2, nx) float32: column and row of b at which each block begins
     whole: Array  # (2, nx) int32: integer part of the positions
@@ -53,7 +53,7 @@ class WorkSpace(NamedTuple):
 
 
 def work_space(nx: int) -> WorkSpace:
-    """Scratch arrays for images with `nx` blocks in a row."""
+    """Return uninitialised scratch arrays for images with `nx` blocks in a row."""
     # The distance between rows is three cache lines more than a multiple of 1024 bytes. Rows of an image of
     # 1024 px would otherwise lie exactly a page apart, where they evict each other from the cache.
     width = nx * BLOCK + 8
@@ -86,7 +86,7 @@ def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
 
 @njit
 def _value(s: Array, x: int) -> np.float32:
-    """Spline along the row at pixel x of s, which starts two pixels left of the image."""
+    """Return the value of the spline along the row s at pixel x; s starts two pixels left of the image."""
     out: np.float32 = (
         F(66 / 120) * s[x + 2] + F(26 / 120) * (s[x + 1] + s[x + 3]) + F(1 / 120) * (s[x] + s[x + 4])
     )
@@ -95,14 +95,18 @@ def _value(s: Array, x: int) -> np.float32:
 
 @njit
 def _slope(s: Array, x: int) -> np.float32:
-    """Derivative along the row of the spline at pixel x."""
+    """Return the derivative along x of the spline along the row s, at pixel x."""
     out: np.float32 = F(10 / 24) * (s[x + 3] - s[x + 1]) + F(1 / 24) * (s[x + 4] - s[x])
     return out
 
 
 @njit
 def _spline_row(image: Array, y: int, rows: Array, n: int) -> None:
-    """Write row y of an image, smoothed by the quintic B-spline, and its gradients into rows 2, 3 and 4."""
+    """Write n smoothed pixels of row y of an image to rows[2], their gradients to rows[3] and rows[4].
+
+    The quintic B-spline smooths. Row 3 holds the gradients along x, row 4 those along y. `image` includes its
+    border; rows[0] and rows[1] are overwritten.
+    """
     s, d = rows[0][: n + 4], rows[1][: n + 4]
     a, gx, gy = rows[2][:n], rows[3], rows[4]
     _spline_columns(image, y, s, d)
@@ -114,7 +118,7 @@ def _spline_row(image: Array, y: int, rows: Array, n: int) -> None:
 
 @njit
 def _fold(row: Array, out: Array) -> None:
-    """Sum BLOCK neighbours of `row` into each element of `out`."""
+    """Write to out[n] the sum of the BLOCK pixels of block n in a row of pixels."""
     for b in range(len(out)):
         total = F(0)
         for i in range(BLOCK):
@@ -124,9 +128,10 @@ def _fold(row: Array, out: Array) -> None:
 
 @njit
 def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
-    """Write sums per block of gx gx, gx gy, gy gy of image a, times 1, x and y, to out (9, ny, nx).
+    """Write the sums of gx gx, gx gy, gy gy over each block to out[:3]; times x to [3:6], times y to [6:].
 
-    x and y are pixels from the centre of the block.
+    gx and gy are the gradients of `image` (with its border), and x, y the distance of a pixel from the centre
+    of its block, px. out is (9, ny, nx); `work` is scratch.
     """
     _, ny, nx = out.shape
     n = nx * BLOCK
@@ -174,14 +179,17 @@ def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
 
 @inlined
 def _bend(s: Array, x: int) -> np.float32:
-    """Second derivative along the row of the spline at pixel x."""
+    """Return the second derivative along x of the spline along the row s, at pixel x."""
     out: np.float32 = F(2 / 6) * (s[x + 1] + s[x + 3]) + F(1 / 6) * (s[x] + s[x + 4]) - s[x + 2]
     return out
 
 
 @inlined
 def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None:
-    """Add one row of pixels to the sums of `strain_moments`."""
+    """Add one row of pixels to `totals`, the eight sums of `strain_moments` for each column of pixels.
+
+    s, d, e are the row smoothed along y and its first and second derivative along y (`_spline_bends`).
+    """
     s0, s1, s2, s3, s4, s5, s6, s7 = totals  # loops over slices that are made here do not vectorise
     for x in range(len(s0)):
         p, q, a = _slope(s, x), _value(d, x), _value(s, x)
@@ -198,7 +206,11 @@ def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None
 
 @njit
 def strain_moments(image: Array, work: WorkSpace, out: Array) -> None:
-    """Write sums per block of gx a, gy a, then of gx and of gy times a_xx, a_xy, a_yy, to out (8, ny, nx)."""
+    """Write eight sums over each block of an image a to out (8, ny, nx), for `subtract_strain`.
+
+    In order, these are the sums of gx a, gy a, then gx times a_xx, a_xy, a_yy, then gy times a_xx, a_xy,
+    a_yy. gx, gy are the gradients. `image` includes its border; `work` is scratch.
+    """
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -279,7 +291,7 @@ _read_block: Callable[..., None] = numba.extending.intrinsic(_block_reader)
 
 @njit
 def _spline_taps(position: Array, whole: Array, taps: Array) -> None:
-    """Split positions into whole pixels and the six quintic B-spline weights of the fraction."""
+    """Split positions (n,), px, into `whole` pixels (n,) and spline weights `taps` (6, n) of the rest."""
     for b in range(len(position)):
         low = np.floor(position[b])
         f = position[b] - low
@@ -297,13 +309,13 @@ def _spline_taps(position: Array, whole: Array, taps: Array) -> None:
 
 @njit
 def _get(taps: Array, b: int) -> tuple[np.float32, ...]:
-    """The spline weights of one block as a tuple, which stays in registers."""
+    """Return the six spline weights of block b as a tuple, which stays in registers."""
     return taps[0, b], taps[1, b], taps[2, b], taps[3, b], taps[4, b], taps[5, b]
 
 
 @njit
 def _spread(values: Array, out: Array) -> None:
-    """Copy a value per block to all pixels of a row of the block."""
+    """Write the value of each block to its BLOCK pixels in a row of pixels `out`."""
     for b in range(len(values)):
         for k in range(BLOCK):
             out[b * BLOCK + k] = values[b]
@@ -319,7 +331,10 @@ def _spread_ramps(slopes: Array, out: Array) -> None:
 
 @njit
 def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> None:
-    """Sample image b at the displaced positions of one row of blocks into `strip`."""
+    """Sample an image at the displaced pixels of block row `by`, and write them to `work.strip`.
+
+    u, v (nx,) is the displacement of these blocks, px; `image` includes its border.
+    """
     position, whole, taps, strip = work.position, work.whole, work.taps, work.strip
     nx = len(u)
     h, w = image.shape
@@ -338,7 +353,10 @@ def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> N
 
 @njit
 def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
-    """Add one row of pixels to the sums of `plain_sums`."""
+    """Add gx r to sums[0] and gy r to sums[1] for every pixel of a row; see `plain_sums` for r.
+
+    s, d are the row of the first image smoothed along y and its derivative; b is the sampled second image.
+    """
     n = len(s) - 4
     s0, s1 = sums[0][:n], sums[1]
     for x in range(len(s0)):
@@ -349,10 +367,11 @@ def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
 
 @njit
 def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace, out: Array) -> None:
-    """Write the scores, sums per block of gx r and gy r, to out (2, ny, nx).
+    """Write the scores of the blocks, sums of gx r and gy r, to out (2, ny, nx).
 
-    r = a - b(x + d), with the displacement d = (u, v), px, constant in the block; u and v are (ny, nx). The
-    images first, second (h + 2 PAD, w + 2 PAD) include their border.
+    gx, gy are the gradients of the first image a, and r = a - b(x + d) is its residual to the second image b.
+    The displacement d = (u, v), px, (ny, nx), is constant in a block. Both images (h + 2 PAD, w + 2 PAD)
+    include their border; `work` is scratch.
     """
     n = u.shape[1] * BLOCK
     s, d = work.rows[0][: n + 4], work.rows[1][: n + 4]
@@ -372,9 +391,10 @@ def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace,
 
 @njit
 def _spread_slopes(slopes: Array, by: int, rows: Array) -> None:
-    """Write the terms of the displacement gradients (4, ny, nx) at each pixel of a row of blocks.
+    """Write the displacement gradients `slopes` (4, ny, nx) of block row `by` to pixels, in rows[5:9].
 
-    Gradients along x are multiplied by the distance from the block's centre, those along y are not yet.
+    du/dx and dv/dx are multiplied by the pixel's distance x from the centre of its block. du/dy and dv/dy are
+    not: the caller multiplies them by y.
     """
     _spread_ramps(slopes[0, by], rows[5])
     _spread(slopes[1, by], rows[6])
@@ -392,7 +412,11 @@ def _residual_row(
     r: Array,
     sums: tuple[Array, ...],
 ) -> None:
-    """Write values a and residuals r of a row of pixels, y px below the block's centre; sum the scores."""
+    """Write the smoothed pixels a and residuals r of a row, and add their scores to `sums`.
+
+    `splines` are the row of the first image smoothed along y and its derivative; `slopes` are rows 5 to 8 of
+    `_spread_slopes`; b is the sampled second image. The row lies y px below the centre of its blocks.
+    """
     s, d = splines
     ux, uy, vx, vy = slopes
     s0, s1 = sums
@@ -407,9 +431,10 @@ def _residual_row(
 
 @njit
 def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
-    """Sum r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over the rows of a strip, for each of n columns.
+    """Sum r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over BLOCK rows, for each of n columns of pixels.
 
-    a and r (BLOCK, n + 4) start one pixel left of the first column; ga, gb are gradients along x.
+    a is the first image and r the residual, (BLOCK, n + 4), from one pixel left of the first column. ga, gb
+    are differences along x of the first image a and the second image a - r. `totals` are the seven results.
     """
     s5, s6, s7, s8, s9, s10, s11 = totals
     for x in range(len(s5)):
@@ -438,11 +463,12 @@ def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
 def final_sums(
     first: Array, second: Array, u: Array, v: Array, slopes: Array, work: WorkSpace, out: Array
 ) -> None:
-    """Write sums per block to out (12, ny, nx), for the scores, the correlation and the common gradients.
+    """Write sums over each block to out (12, ny, nx): scores, and moments for correlation and gradients.
 
-    Planes 0 and 1 hold gx r, gy r; planes 5 to 11 hold r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2. Here
-    r = a - b(x + d), d is linear in the block with slopes (4, ny, nx), and ga, gb are the gradients along x
-    of the two images. Planes 2 to 4, for the Hessian, are not written.
+    out[0:2] are the scores, sums of gx r and gy r. out[5:] are sums of r r, a, a a, r, a r, ga gb and
+    ((ga + gb) / 2)^2. out[2:5] is left to the caller, for the Hessian. r = a - b(x + d) is the residual; the
+    displacement d is (u, v) at the block's centre and has the gradients `slopes` (4, ny, nx). ga and gb are
+    the differences along x of the first image a and of the displaced second image b.
     """
     n = u.shape[1] * BLOCK
     rows, sums = work.rows, work.sums
@@ -471,9 +497,10 @@ def final_sums(
 
 @njit
 def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.int32, out: Array) -> None:
-    """Write for each pixel of a row the index of the brightest of the pixel and its eight neighbours.
+    """Write to `out` where each pixel of a row would climb: the index of the brightest of 3 x 3 pixels.
 
-    The input rows start one pixel to the left; `first` is the index in the image of the row's first pixel.
+    `above`, `row` and `below` start one pixel left of the image. Indices count along the rows of an image of
+    `width` px; `first` is the index of the row's first pixel.
     """
     for x in range(len(out)):
         at = np.int32(first + x)
@@ -492,9 +519,10 @@ def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.i
 
 @njit
 def bead_blocks(image: Array, out: Array) -> None:
-    """Write for each pixel the number of the block that contains the top of its bead, to out (h, w).
+    """Write to out (h, w), for each pixel, the number of the block that contains the top of its bead.
 
-    The top is found by steepest ascent. All pixels of the border must be darker than the image.
+    The top is the brightest point, which steepest ascent from the pixel reaches. Blocks are numbered along
+    rows. `image` includes its border, all of whose pixels must be darker than the image.
     """
     h, w = out.shape
     for y in range(h):
@@ -523,9 +551,10 @@ def bead_blocks(image: Array, out: Array) -> None:
 
 @njit
 def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> None:
-    """Write the Hessian of each block, summed over the pixels assigned to it, to out (ny nx, 3).
+    """Write the Hessian of each block, sums of gx gx, gx gy, gy gy, to out (ny nx, 3).
 
-    block (h, w) is the assignment of `bead_blocks`.
+    A block sums over the pixels that `bead_blocks` assigned to it, in `block` (h, w). `image` includes its
+    border; `work` is scratch.
     """
     h, n = block.shape
     out[:] = F(0)
@@ -543,7 +572,10 @@ def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> No
 def _scores_of_pixels(
     splines: tuple[Array, ...], slopes: tuple[Array, ...], b: Array, y: np.float32, to: tuple[Array, ...]
 ) -> None:
-    """Write gx r and gy r of each pixel of a row, y px below the block's centre."""
+    """Write gx r and gy r of each pixel of a row to the two arrays `to`.
+
+    The other arguments, and the residual r, are described in `_residual_row`.
+    """
     s, d = splines
     ux, uy, vx, vy = slopes
     along, down = to
@@ -565,9 +597,10 @@ def bead_scores(
     work: WorkSpace,
     out: Array,
 ) -> None:
-    """Write the score of each block, summed over the pixels assigned to it, to out (ny nx, 2).
+    """Write the score of each block, sums of gx r and gy r, to out (ny nx, 2).
 
-    The residual is that of `final_sums`; block (h, w) is the assignment of `bead_blocks`.
+    A block sums over the pixels that `bead_blocks` assigned to it, in `block` (h, w). `final_sums` describes
+    the residual r and the other arguments.
     """
     n = u.shape[1] * BLOCK
     rows = work.rows
@@ -589,10 +622,11 @@ def bead_scores(
 
 @njit
 def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
-    """Write sums per block of a b, with b shifted by dy rows and by `first`, `first` + 1, ... columns.
+    """Write the sums of a b over each block to `out`, for b shifted by dy rows and by several columns.
 
-    b is (h + 2 margin, w + 2 margin); row (nx BLOCK,) is scratch. out (ny, shifts, nx + 2 border) repeats its
-    edge values in the border.
+    out (ny, shifts, nx + 2 border) has one entry for each shift of `first`, `first` + 1, ... columns; its
+    edge values are repeated in the border. b (h + 2 margin, w + 2 margin) includes a margin, px, and a (h, w)
+    does not. `row` (nx BLOCK,) is scratch.
     """
     ny, n, width = out.shape
     nx = len(row) // BLOCK

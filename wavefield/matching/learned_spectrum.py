@@ -42,11 +42,12 @@ SLOPE_RINGS = 6  # the exponent is fitted to the last significant rings, this ma
 
 
 def first_prior(fields: Sequence[Float], information: float, area: float = FOOTPRINT_VARIANCE) -> Prior:
-    """Prior with the isotropic spectrum of windowed fields (c, ny, nx) of sample frames.
+    """Return the prior with the mean spectrum of some fields (c, ny, nx), the same in all directions.
 
-    The fields have no holes and no slopes at their edges (`edge_field` was subtracted). Windows damp short
-    waves, so `Prior.with_min_signal_to_noise` raises this spectrum before it is refined. `information` is the
-    typical information of a block; `area` is the variance of the area that its value averages over, px^2.
+    The fields come from sample frames, by matching with a window. They have no holes and no slopes at their
+    edges (`edge_field` was subtracted). Windows damp short waves, so the caller raises this spectrum before
+    refining it (`Prior.with_min_signal_to_noise`). `information` is the typical inverse variance of the value
+    of a block; `area` is the variance of the area that this value averages over, px^2.
     """
     binning = WavenumberRings(*wavenumbers(fields[0].shape[-2:]))
     power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
@@ -60,21 +61,22 @@ def refined_prior(
     information: float,
     noise_alone: Sequence[tuple[Float, float]] = (),
 ) -> Prior:
-    """Prior with the spectrum of the MAP fields that `prior` gave in sample frames.
+    """Return a new prior, with the spectrum of the MAP fields that the old `prior` gave in sample frames.
 
-    `waves` are the fields' cosine coefficients D (c, my, mx). For a mode with spectrum S and noise
-    N = 1 / (F^2 A), with F the footprint of a block and A its information, a MAP field has the gain
-    G = S / (S + N), so its power is G^2 (S + N). The mean over the modes of a ring (a bin of wavenumber), or
-    of a sector of it, gives S = sum(|D|^2 - G^2 N) / sum G^2.
+    `waves` are the cosine coefficients D (c, my, mx) of these fields, for the modes of `modes`. `information`
+    A is the typical inverse variance of the value of a block, and F its footprint. For a mode with spectrum S
+    and noise N = 1 / (F^2 A), a MAP field has the gain G = S / (S + N) and the power G^2 (S + N). Sums over
+    the modes of a ring (a bin of wavenumber), or of one of its sectors of direction, therefore give
+    S = sum(|D|^2 - G^2 N) / sum G^2.
 
-    A spectrum may have gaps and several peaks. In rings that are not significant, S is the upper limit of the
-    waves that could be there undetected. Beyond the last significant ring S is a power law, at most this
-    limit, with constant directions. Directions are averaged over neighbouring rings, and sectors with few
-    modes are drawn towards the mean of their ring.
+    A ring is significant if its power stands out from the noise. In other rings, S is the upper limit of the
+    waves that may be there undetected. Beyond the last significant ring, S is a power law, at most this
+    limit. The distribution over directions is averaged over neighbouring rings, drawn towards a uniform one
+    where modes are few, and constant beyond the last significant ring.
 
-    Each item of `noise_alone` is the MAP field of noise without waves, as coefficients, with its information.
-    These fields give the shape of the noise over the rings. The level of the noise comes from the ring with
-    the smallest ratio of power to expected noise.
+    Each item of `noise_alone` is a MAP field that contains only noise, as coefficients, with its information.
+    These fields show how the noise varies over the rings. The level of the noise comes from the neighbouring
+    rings with the smallest ratio of power to expected noise. Without information (0), `prior` is returned.
     """
     if not information > 0:  # no block has information
         return prior
@@ -111,10 +113,11 @@ def _signals_and_noise(
     binning: WavenumberRings,
     noise_alone: Sequence[tuple[Float, float]],
 ) -> tuple[Float, Float, Float]:
-    """Power of waves in rings (c, rings) and sectors (c, sectors, rings), and of noise in rings (c, rings).
+    """Return the power of waves in rings and in sectors, and the power of noise in rings.
 
-    All are divided by the squared gain of the MAP field. Fields of noise alone give the shape of the noise
-    over the rings; rings without waves give its level.
+    The shapes are (c, rings), (c, sectors, rings) and (c, rings). All powers are divided by the squared gain
+    of the MAP field. `waves`, `information` and `noise_alone` are those of `refined_prior`; `spectrum` and
+    the footprint `foot` are (c, my, mx) and (my, mx).
     """
 
     def block_noise(of: float) -> Float:
@@ -138,7 +141,11 @@ def _signals_and_noise(
 def _over_gain(
     fields: Sequence[Float], spectrum: Float, noise: Float, mean: Callable[[Float], Float]
 ) -> tuple[Float, Float]:
-    """Mean power of MAP fields and of their noise, both divided by the mean squared gain."""
+    """Return the power of MAP fields and of their noise, both divided by the mean squared gain.
+
+    `fields` are coefficients (c, my, mx); `noise` is the noise N of a mode. `mean` averages over the modes of
+    rings or sectors, and its result has their shape.
+    """
     power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
     spectrum = np.broadcast_to(spectrum, power.shape)
     squared_gain = np.square(spectrum / (spectrum + noise))
@@ -149,9 +156,10 @@ def _over_gain(
 def _undetected_fraction(
     measured: Float, rings: Float, noise: Float, detected: NDArray[np.bool_], binning: WavenumberRings
 ) -> float:
-    """Fraction of their upper limits that rings without significant waves contain, 0 to 1.
+    """Return which fraction of its upper limit, 0 to 1, the power of rings without significant waves is.
 
-    It is the slope of a line fitted to power over noise against limit over noise.
+    It is the slope of a line through the points (upper limit / noise, measured power / noise) of these rings,
+    corrected for an error of the noise. All arrays are (c, rings); `rings` holds the upper limits.
     """
     limit, found = rings / noise, measured / noise
     weight = binning.count * (~detected & (binning.middle < SHORTEST_IN_LIMITS))
@@ -163,10 +171,11 @@ def _undetected_fraction(
 
 
 def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
-    """Power of the sectors relative to their ring, (c, sectors, rings).
+    """Return the power of each sector over the power of its ring, (c, sectors, rings).
 
-    It is averaged over neighbouring rings, drawn towards 1 where modes are few, and constant beyond the last
-    significant ring of each component.
+    `estimate` is the measured ratio. It is averaged over neighbouring rings, with `weight` (which is set to 0
+    beyond the last significant ring), and drawn towards 1 where modes are few. From ring number `last` of
+    each component on, it is constant.
     """
     for one, last in zip(weight, lasts):
         one[:, last:] = 0.0
@@ -183,11 +192,11 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
 
 
 def shrinkage(variance: float, noise: float, waves: float) -> float:
-    """Fraction of a learned spectrum that is waves, 0 to 1; the rest is noise of long wavelength.
+    """Return the fraction of a learned spectrum that is waves, 0 to 1; the rest is noise of long waves.
 
-    variance is that of the MAP fields; noise and waves are the variances that the noise and the spectrum
-    predict for them. The fraction is 1 if variance - noise is at least half of the predicted waves, or three
-    times the noise; below, it falls in proportion.
+    `variance` is the measured variance of the MAP fields; `noise` and `waves` are its predicted parts, from
+    the noise of the images and from the spectrum. The fraction is 1 if variance - noise is at least half of
+    `waves`, or at least three times `noise`. Below the smaller of these limits, it falls in proportion.
 
     >>> shrinkage(4.0, 1.0, 3.0), round(shrinkage(1.0, 1.0, 3.0), 3)
     (1.0, 0.0)
@@ -198,7 +207,11 @@ def shrinkage(variance: float, noise: float, waves: float) -> float:
 
 
 def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
-    """Ratio of power to noise in rings without waves: the smallest mean over neighbouring rings."""
+    """Return the smallest mean of the ratio of power to noise over five neighbouring rings.
+
+    It belongs to rings without waves. `count` is the number of modes in each ring. With fewer than five
+    rings, it is 1.
+    """
     if ratio.size < NOISE_RINGS:
         return 1.0
     box = np.ones(NOISE_RINGS)
@@ -213,7 +226,11 @@ def _extrapolated(
     noise: float,
     upper_limit: Float | float = np.inf,
 ) -> tuple[float, ...]:
-    """Extrapolate a spectrum beyond its first `last` rings by a power law below the upper limit."""
+    """Replace the spectrum `power` (rings,) after its first `last` rings by a power law.
+
+    The power law is fitted to the last of these rings, and kept below the upper limit. `k` are the
+    wavenumbers of the rings; `noise` sets a lower bound of the power.
+    """
     out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
     first = max(last - SLOPE_RINGS, 1)
     slope = SLOPE_RANGE[1]
@@ -226,6 +243,6 @@ def _extrapolated(
 
 
 def _cosine_coefficients(field: Float) -> NDArray[Any]:
-    """Orthonormal cosine transform of a field (c, ny, nx)."""
+    """Return the orthonormal cosine transform of a field along its last two axes, (c, ny, nx)."""
     out: NDArray[Any] = scipy.fft.dctn(np.asarray(field, np.float64), axes=(-2, -1), norm="ortho", workers=1)
     return out

@@ -48,12 +48,14 @@ in_order = compiled(error_model="numpy")
 
 
 class Modes:
-    """The cosine modes of a MAP field with a signal-to-noise ratio above 0.02, and the solver for them.
+    """The cosine modes of a MAP field (the most probable field) on a lattice, and the solver for it.
 
-    The lattice has `shape` (ny, nx) blocks; holes matter only in blocks where `requested` is true.
-    Attributes: wavenumbers kx (mx,) and ky (my, 1), rad per block; footprint foot (my, mx) and inverse
-    spectrum inverse (1 or c, my, mx) of the modes; freedom, the fraction of the scores' variance that remains
-    after the fit.
+    The lattice has `shape` (ny, nx) blocks. Modes beyond the last one with a signal-to-noise ratio above 0.02
+    are left out. Holes in the data tighten the solver's tolerance only in blocks where `requested` is True.
+
+    Attributes: `kx` (mx,) and `ky` (my, 1), the wavenumbers, rad per block; `foot` (my, mx), the gain F of
+    averaging over a block; `inverse` (1 or c, my, mx), the reciprocal 1/S of the spectrum; `freedom`, the
+    fraction of the variance of the scores that is left after the fit.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
@@ -86,43 +88,50 @@ class Modes:
 
     @property
     def lattice(self) -> tuple[int, int]:
-        """Rows and columns of blocks."""
+        """Number of rows and columns of blocks, (ny, nx)."""
         return self._cosines.lattice
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of modes along y and x."""
+        """Number of modes along y and x, (my, mx)."""
         return self._cosines.shape
 
     def waves(self, field: Float) -> Float:
-        """Coefficients (c, my, mx) of a field (c, ny, nx)."""
+        """Return the cosine coefficients (c, my, mx) of a field (c, ny, nx)."""
         return self._cosines.waves(field)
 
     def field(self, waves: Float) -> Float:
-        """Field (c, ny, nx) of coefficients (c, my, mx)."""
+        """Return the field (c, ny, nx) with the cosine coefficients `waves` (c, my, mx)."""
         return self._cosines.field(waves)
 
     def block_mean(self, waves: Float) -> Float:
-        """Field (c, ny, nx) averaged over the footprint of a block, from coefficients (c, my, mx)."""
+        """Return what the blocks measure of a field: its averages over the area of a block, (c, ny, nx).
+
+        The field is given by its cosine coefficients `waves` (c, my, mx).
+        """
         return self.field(self.foot * waves)
 
     def split(self, field: Float) -> tuple[Float, Float]:
-        """Split a field (c, ny, nx) without holes into a smooth part and cosine coefficients (c, my, mx).
+        """Split a field (c, ny, nx) without holes into a smooth part (c, ny, nx) and cosines of the rest.
 
-        The smooth part (`edge_field`) has the field's slopes at the edges, where cosines have none. It is
-        reduced if the slopes are noisy.
+        The smooth part (`edge_field`) has the field's slopes at the edges, where cosines have no slope. It is
+        reduced if the slopes are noisy. The rest is returned as cosine coefficients (c, my, mx).
         """
         edges = self._kept * edge_field(field)
         return edges, self.waves(field - edges)
 
     def factor(self, information: Float) -> Factor:
-        """Factorised preconditioner for `solve` with the information (ny, nx), common to both components."""
+        """Return the factorised preconditioner for `solve`, common to all components of the field.
+
+        `information` (ny, nx) is the inverse variance of the value of each block.
+        """
         return self._preconditioner.factor(information)
 
     def tolerances(self, information: Float) -> tuple[float, float]:
-        """Tolerances of `solve` for the first and for later evaluations, with the information (ny, nx).
+        """Return two tolerances for `solve`: for the first evaluation of the images, and for later ones.
 
-        They are smaller if there are holes, where the field converges last.
+        They are smaller if `information` (ny, nx), the inverse variance of each block, has large holes: there
+        the field converges last.
         """
         hole = hole_mask(information, self.prior.information) & self._requested
         return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
@@ -136,12 +145,14 @@ class Modes:
         factor: Factor,
         block_mean: Float | None = None,
     ) -> Float:
-        """Solve (F A F + 1/S) f = F b by preconditioned conjugate gradients; return f, (c, my, mx).
+        """Solve (F A F + 1/S) f = F b by conjugate gradients; return the coefficients f (c, my, mx).
 
-        `information` (1 or 3, ny, nx) is A of one component, or A_xx, A_xy, A_yy of two. `right` (c, ny, nx)
-        is b = A u + s / nu, with u less its smooth part (`split`). `start` (c, my, mx) is the first guess;
-        `block_mean` is its field averaged over the footprint, computed if None. The solver stops if the rms
-        over the modes of the residual, in units of its own uncertainty, is below `tolerance`.
+        F is the footprint of a block, and S the spectrum. `information` is A, the inverse variance of every
+        block: (1, ny, nx) for one component, (3, ny, nx) with xx, xy, yy for two. `right` (c, ny, nx) is
+        b = A u + s / nu, with the matched field u minus its smooth part (`split`), the scores s and their
+        noise nu. `start` (c, my, mx) is a first guess of f. `block_mean` is its field averaged over blocks
+        (`block_mean`), computed if None. `factor` comes from the method `factor`. The solver stops if the rms
+        residual of the modes, in units of their uncertainty, is below `tolerance`.
         """
         a, c = information, len(right)
         block_mean = self.block_mean(start) if block_mean is None else block_mean
@@ -170,7 +181,10 @@ class Modes:
 
 
 def _apply_information(a: Float, field: Float) -> Float:
-    """Multiply a field (c, ny, nx) by the information A."""
+    """Multiply a field of one or two components, (c, ny, nx), by the information A of each block.
+
+    `a` is (1, ny, nx) for one component, (3, ny, nx) with xx, xy, yy of a symmetric matrix for two.
+    """
     if len(field) == 1:
         return a * field
     u, v = field
@@ -179,7 +193,10 @@ def _apply_information(a: Float, field: Float) -> Float:
 
 @reassociating
 def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
-    """Replace A F p in `image` by (F A F + 1/S) p for the direction p; return the inner product with p."""
+    """Replace A F p in `image` by (F A F + 1/S) p, in place; return its inner product with p.
+
+    `foot` is F, `inverse` is 1/S, and `direction` is p.
+    """
     total = F(0)
     for i in range(len(image)):
         value = foot[i] * image[i] + inverse[i] * direction[i]
@@ -190,7 +207,7 @@ def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) ->
 
 @reassociating
 def _advance(length: F, direction: Float, image: Float, waves: Float, residual: Float) -> None:
-    """Take a conjugate-gradient step of the given length, and update the residual."""
+    """Add `length` times `direction` to `waves`, and subtract `length` times `image` from `residual`."""
     for i in range(len(waves)):
         waves[i] += length * direction[i]
         residual[i] -= length * image[i]
@@ -198,20 +215,23 @@ def _advance(length: F, direction: Float, image: Float, waves: Float, residual: 
 
 @reassociating
 def _update_direction(ratio: F, step: Float, direction: Float) -> None:
-    """Compute the next conjugate direction."""
+    """Replace `direction`, in place, by the next conjugate direction: ratio times itself plus `step`."""
     for i in range(len(step)):
         direction[i] = ratio * direction[i] + step[i]
 
 
 def _freedom(gain: Float) -> float:
-    """Fraction of the variance of the scores of clusters that remains after a fit with these gains."""
+    """Return the fraction of the variance of cluster scores that a fit leaves over, at least 0.2.
+
+    A cluster is 5 x 5 blocks; `gain` (ny, nx) is the amplitude gain of the fit for each cosine mode.
+    """
     rows, columns = (_box(n) for n in gain.shape)
     power = np.square(rows[:, None] * columns)
     return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
 
 
 def _box(n: int) -> NDArray[np.float64]:
-    """Cosine gains (n,) of the sum over a cluster, along one axis."""
+    """Return the gain of the sum over a cluster (5 blocks along one axis) for n cosine modes, (n,)."""
     m = np.arange(1, CLUSTER // 2 + 1)[:, None]
     out: NDArray[np.float64] = 1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0)
     return out
@@ -226,7 +246,7 @@ def _box(n: int) -> NDArray[np.float64]:
 
 
 def cosines(n: int, count: int) -> NDArray[np.float64]:
-    """The first `count` orthonormal cosines on n blocks, (count, n)."""
+    """Return the values of the first `count` orthonormal cosines at n blocks, (count, n)."""
     phase = np.pi * np.arange(count)[:, None] * (np.arange(n) + 0.5) / n
     out: NDArray[np.float64] = np.cos(phase) * np.sqrt(2.0 / n)
     out[0] /= np.sqrt(2.0)
@@ -234,7 +254,10 @@ def cosines(n: int, count: int) -> NDArray[np.float64]:
 
 
 class Cosines:
-    """Transforms between fields on a lattice (ny, nx) and the coefficients of their first (my, mx) cosines.
+    """Transforms between a field on a lattice (ny, nx) and the coefficients of its first cosines (my, mx).
+
+    Inside, a field is split into parts that are even or odd about the middle of the lattice, along y and x. A
+    quarter of the lattice determines each part.
 
     Examples
     --------
@@ -258,11 +281,11 @@ class Cosines:
         )
 
     def waves(self, field: Float) -> Float:
-        """Coefficients (c, my, mx) of a field (c, ny, nx)."""
+        """Return the cosine coefficients (c, my, mx) of a field (c, ny, nx)."""
         return self.merge_parities(self.coefficients_of(self.quarters(field)))
 
     def field(self, waves: Float) -> Float:
-        """Field (c, ny, nx) of coefficients (c, my, mx)."""
+        """Return the field (c, ny, nx) with the cosine coefficients `waves` (c, my, mx)."""
         ny, nx = self.lattice
         quarters = self.quarters_of(self.split_parities(waves))
         out = np.empty((len(waves), ny, nx), F)
@@ -270,25 +293,36 @@ class Cosines:
         return out
 
     def split_parities(self, waves: Float) -> Float:
-        """Sort coefficients (c, my, mx) by parity: into even and odd modes along both axes."""
+        """Sort cosine coefficients (c, my, mx) into even and odd modes: (2, my / 2, 2, c, mx / 2).
+
+        The first axis is the parity along y, the third the parity along x: 0 for even, 1 for odd modes.
+        """
         c, (my, mx) = len(waves), self.shape
         parts = waves.reshape(c, my // 2, 2, mx // 2, 2).transpose(2, 1, 4, 0, 3)
         return np.ascontiguousarray(parts, F)
 
     def merge_parities(self, by_parity: Float) -> Float:
-        """Inverse of `split_parities`: coefficients (c, my, mx)."""
+        """Undo `split_parities`: return the coefficients (c, my, mx)."""
         c = by_parity.shape[3]
         return np.ascontiguousarray(by_parity.transpose(3, 1, 0, 4, 2)).reshape(c, *self.shape)
 
     def quarters(self, field: Float) -> Float:
-        """Even and odd parts of a field (c, ny, nx) along both axes, each on a quarter of the lattice."""
+        """Return the even and odd parts of a field (c, ny, nx), each on a quarter of the lattice.
+
+        The result is (2, hy, 2, c, hx), with hy and hx half of ny and nx, rounded up. The first axis is the
+        parity along y, the third the parity along x: 0 for even, 1 for odd.
+        """
         hy, hx = self._half
         out = np.empty((2, hy, 2, len(field), hx), F)
         _fold(np.ascontiguousarray(field, F), out)
         return out
 
     def mirrored(self, field: Float) -> Float:
-        """Values of a field (c, ny, nx) at the four mirror images of a quarter, (2, 2, c, hy, hx)."""
+        """Return a field (c, ny, nx) as its four quarters, each mirrored onto the first: (2, 2, c, hy, hx).
+
+        hy and hx are half of ny and nx, rounded up. The middle row or column of an odd number is counted
+        once; its mirror image is 0.
+        """
         (ny, nx), (hy, hx) = self.lattice, self._half
         # the middle of an odd number of blocks is its own mirror image and is counted once
         out = np.zeros((2, 2, len(field), hy, hx), F)
@@ -299,7 +333,7 @@ class Cosines:
         return out
 
     def quarters_of(self, by_parity: Float) -> Float:
-        """Inverse of `coefficients_of`: quarters of a field from coefficients sorted by parity."""
+        """Return the quarters of a field (see `quarters`) from its coefficients (see `split_parities`)."""
         _, my, _, c, mx = by_parity.shape
         hy, hx = self._half
         # transform along x first: there are fewer modes along y than blocks, so that the product is smaller
@@ -312,7 +346,7 @@ class Cosines:
         return out.reshape(2, hy, 2, c, hx)
 
     def coefficients_of(self, quarters: Float) -> Float:
-        """Cosine coefficients, sorted by parity, of a field given as quarters."""
+        """Return the coefficients of a field (see `split_parities`) from its quarters (see `quarters`)."""
         _, hy, _, c, hx = quarters.shape
         my, mx = self.shape[0] // 2, self.shape[1] // 2
         part = np.matmul(self._rows, quarters.reshape(2, hy, 2 * c * hx)).reshape(2 * my, 2, c, hx)
@@ -325,7 +359,7 @@ class Cosines:
 
 @reassociating
 def _fold(field: Float, out: Float) -> None:
-    """Write the even and odd parts of a field to `out`, as quarters."""
+    """Write the even and odd parts of a field (c, ny, nx) to `out`, shaped as in `Cosines.quarters`."""
     _, hy, _, c, hx = out.shape
     _, ny, nx = field.shape
     for n in range(c):
@@ -346,7 +380,7 @@ def _fold(field: Float, out: Float) -> None:
 
 @reassociating
 def _unfold(quarters: Float, out: Float) -> None:
-    """Write the sum of even and odd parts, given as quarters, to `out`."""
+    """Write the sum of even and odd parts, shaped as in `Cosines.quarters`, to the field out (c, ny, nx)."""
     _, hy, _, c, hx = quarters.shape
     _, ny, nx = out.shape
     for n in range(c):
@@ -366,9 +400,11 @@ def _unfold(quarters: Float, out: Float) -> None:
 
 @reassociating
 def multiply(a: Float, quarters: Float) -> None:
-    """Multiply a field by A at every block, in place.
-    The field has 1 or 2 components, split by parity along y and x (quarters): (2, hy, 2, c, hx). A is
-    (2, 2, 1, hy, hx) for one component, (2, 2, 3, hy, hx) with xx, xy, yy of a symmetric matrix for two.
+    """Multiply a field by the information A at every block, in place.
+
+    `quarters` (2, hy, 2, c, hx) holds the field's even and odd parts, as in `Cosines.quarters`, with one or
+    two components. `a` holds A as in `Cosines.mirrored`: (2, 2, 1, hy, hx) for one component, (2, 2, 3, hy,
+    hx) with xx, xy, yy of a symmetric matrix for two.
     """
     _, hy, _, c, _ = quarters.shape
     for j in range(hy):
@@ -381,9 +417,10 @@ def multiply(a: Float, quarters: Float) -> None:
 
 @reassociating
 def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
-    """Values at four mirror-image positions, from the parts that are even (e) or odd (o) along y and x.
+    """Return the values of a field at four mirrored places, from its parts at one of them.
 
-    Given the four values instead, it returns the four parts times 4.
+    The part `eo` is even along y and odd along x, and so on. The values belong to (y, x), (y, -x), (-y, x)
+    and (-y, -x).
     """
     p, q, r, s = ee + oe, eo + oo, ee - oe, eo - oo
     return p + q, p - q, r + s, r - s
@@ -391,7 +428,11 @@ def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
 
 @reassociating
 def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
-    """Multiply one row of quarters of one component by its information, in place."""
+    """Multiply one row of a one-component field, given by its even and odd parts, by A, in place.
+
+    a0 to a3 are A at the four mirrored places (see `_four_places`); `top` holds the parts that are even along
+    y, `bottom` the odd ones.
+    """
     ee, eo, oe, oo = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     for i in range(len(a0)):
         f0, f1, f2, f3 = _four_places(ee[i], eo[i], oe[i], oo[i])
@@ -402,7 +443,7 @@ def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom
 
 @reassociating
 def _multiply_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
-    """Multiply one row of quarters of two components by their information, in place."""
+    """Do what `_multiply_one` does for two components; a0 to a3 have rows xx, xy, yy of the matrix A."""
     ue, uo, pe, po = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     ve, vo, qe, qo = top[0, 1], top[1, 1], bottom[0, 1], bottom[1, 1]
     x0, x1, x2, x3 = a0[0], a1[0], a2[0], a3[0]
@@ -455,7 +496,10 @@ def edge_field(field: Float) -> Float:
 
 
 def _with_slopes_along_x(field: Float) -> Float:
-    """Field with the slopes of the first and last column, smoothed along the columns."""
+    """Return a field (c, ny, nx) that has the slopes of `field` along x at its first and last column.
+
+    The slopes are smoothed along y; the result decays exponentially away from both columns.
+    """
     fit, profile, smoother = _tables(*field.shape[1:])
     first, last = field[..., :EDGE_REACH] @ fit @ smoother, field[..., -EDGE_REACH:] @ fit @ smoother
     return np.asarray(last[..., None] * profile - first[..., None] * profile[::-1])
@@ -463,7 +507,11 @@ def _with_slopes_along_x(field: Float) -> Float:
 
 @lru_cache(maxsize=16)
 def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
-    """Weights that fit a slope, a profile (nx,) with unit slope at its end, and a smoother (ny, ny)."""
+    """Return three tables for `_with_slopes_along_x`.
+
+    They are weights (6,) that fit a slope to six blocks, an exponential profile (nx,) with unit slope at its
+    end, and a matrix (ny, ny) that smooths along y.
+    """
     t = np.arange(EDGE_REACH, dtype=np.float32) - np.float32((EDGE_REACH - 1) / 2)
     profile = EDGE_REACH * np.exp((np.arange(nx) + 0.5 - nx) / EDGE_REACH)
     modes = cosines(ny, ny)
@@ -473,10 +521,10 @@ def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
 
 
 class Preconditioner:
-    """Preconditioner of `Modes.solve`: exact for the strongest modes, diagonal for the others.
+    """Preconditioner of `Modes.solve`: exact for the 300 strongest modes, diagonal for the others.
 
-    ratio, inverse and foot (my, mx) are the signal-to-noise ratio, inverse spectrum and footprint of the
-    modes.
+    `ratio` (my, mx) is the signal-to-noise ratio of the modes, `inverse` the reciprocal of their spectrum,
+    and `foot` the gain of averaging over a block.
     """
 
     def __init__(self, lattice: tuple[int, int], ratio: Float, inverse: Float, foot: Float) -> None:
@@ -499,7 +547,11 @@ class Preconditioner:
         self._positions = {c: (line * c + np.arange(c)[:, None]) * half + self._ix // 2 for c in (1, 2)}
 
     def factor(self, information: Float) -> Factor:
-        """Cholesky factor and scaling of the matrix of the strongest modes, for the information (ny, nx)."""
+        """Return the Cholesky factor (modes, modes) and scaling (modes,) of the strongest modes' matrix.
+
+        `information` (ny, nx) is the inverse variance of each block. If rounding makes the matrix indefinite,
+        the factor is the unit matrix.
+        """
         table = self._sum_rows @ information @ self._sum_columns
         scale = 1.0 / np.sqrt(self._own_inverse + self._square * F(information.mean()))
         count = self._norm.size
@@ -511,7 +563,11 @@ class Preconditioner:
         return lower, scale.astype(np.float32)
 
     def apply(self, residual: Float, diagonal: Float, factor: Factor, out: Float) -> float:
-        """Write the preconditioned residual to `out`; return its inner product with the residual."""
+        """Write the preconditioned residual to `out`; return its inner product with the residual.
+
+        `residual`, `diagonal` and `out` are sorted by parity (`Cosines.split_parities`). `diagonal`
+        multiplies the weaker modes; `factor` comes from the method `factor`.
+        """
         lower, scale = factor
         positions = self._positions[residual.shape[3]]
         gathered = np.empty(positions.shape, F)
@@ -524,7 +580,10 @@ class Preconditioner:
 
 @reassociating
 def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None:
-    """Copy the scaled residual of the strongest modes to out (c, modes)."""
+    """Write the residual of the strongest modes, times `scale` (modes,), to out (c, modes).
+
+    `positions` (c, modes) are the indices of these modes in the flat `residual`.
+    """
     for n in range(len(positions)):
         for k in range(len(scale)):
             out[n, k] = residual[positions[n, k]] * scale[k]
@@ -534,7 +593,11 @@ def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None
 def _preconditioned(
     diagonal: Float, residual: Float, exact: Float, positions: Float, scale: Float, out: Float
 ) -> F:
-    """Write the preconditioned residual to `out`; return its inner product with the residual."""
+    """Write the preconditioned residual to `out`; return its inner product with the residual.
+
+    It is `diagonal` times `residual`, except for the strongest modes at `positions` (c, modes): there it is
+    `exact` (c, modes) times `scale` (modes,).
+    """
     for i in range(len(out)):
         out[i] = diagonal[i] * residual[i]
     for n in range(len(positions)):
@@ -548,9 +611,11 @@ def _preconditioned(
 
 @in_order
 def _assemble(table: Float, iy: Float, ix: Float, norm: Float, own: Float, out: Float) -> None:
-    """Write the scaled lower triangle of F A F + 1/S for the strongest modes.
+    """Write the lower triangle of the scaled matrix F A F + 1/S of the strongest modes to `out`.
 
-    A product of two cosines is a sum of two cosines, so all elements come from one table of sums.
+    iy and ix are the indices of these modes. `table` holds sums of A times cosines, from which all elements
+    follow, because a product of two cosines is a sum of two cosines. `norm` and `own` are the scaled factors
+    of these sums, and the scaled 1/S.
     """
     for p in range(iy.size):
         for q in range(p + 1):

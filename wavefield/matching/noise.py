@@ -28,14 +28,15 @@ LEAST_NOISE = 0.3  # lower bound of the noise expected around a cluster, over th
 def noise_of_scores(
     score: Float, trace: Float, counts: Float, freedom: float, with_mismatches: bool = False
 ) -> Float:
-    """Variance nu of the scores (c, ny, nx) per unit of their Hessian, (ny, nx), from clusters of blocks.
+    """Return the noise nu of the scores of blocks, (ny, nx): their variance per unit of their Hessian.
 
-    nu is the squared score of clusters of usable blocks over their Hessian, both smoothed over 6 blocks.
-    `trace` (ny, nx) is the trace of the Hessian, `counts` (ny, nx) is 1 for usable blocks and 0 for others,
-    and `freedom` is the fraction of the scores' variance that remains after the fit (`Modes.freedom`).
+    `score` (c, ny, nx) holds the scores and `trace` (ny, nx) the trace of their Hessian. `counts` (ny, nx) is
+    1 for usable blocks, else 0. nu is the squared score of clusters of 5 x 5 usable blocks over their trace,
+    both smoothed over 6 blocks, over `freedom`, the fraction of the variance that a fit leaves
+    (`Modes.freedom`).
 
-    Where there is little information, nu approaches the typical noise of the image. That is the mean, or the
-    median `with_mismatches`: if parts of the images may not match, for instance where beads leave the image.
+    Where the trace is small, nu approaches the typical noise of the image. This is the mean, or the median if
+    `with_mismatches` is True. Set it if parts of the images may not match, as where beads leave the image.
     """
     complete = (_clusters(counts) > CLUSTER**2 - 0.5).astype(np.float32)
     square = np.zeros_like(trace)
@@ -57,9 +58,10 @@ def noise_of_scores(
 
 
 def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
-    """Weight of each block, (ny, nx), from 0 to 1: below 1 in clusters with scores far above those around.
+    """Return a weight of each block, (ny, nx), 0 to 1: below 1 where scores are far above the noise.
 
-    Such scores occur at edges of objects and where beads enter or leave the image. For the arguments see
+    Such scores occur at edges of objects and where beads enter or leave the image. They are taken over
+    clusters of 5 x 5 blocks and compared with those of clusters around. For the arguments see
     `noise_of_scores`.
     """
     square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
@@ -78,14 +80,18 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
-    """Mask (ny, nx) of blocks in holes: those with little information (ny, nx) around them."""
+    """Return a mask (ny, nx), True for blocks in a hole, that is, in an area with little information.
+
+    `information` (ny, nx) is the inverse variance of the value of each block. In a hole, its mean over 7 x 7
+    blocks is at most 0.15 times the typical information.
+    """
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )
 
 
 def _clusters(field: Float) -> Float:
-    """Sums of a field (ny, nx) over the cluster around every block."""
+    """Return the sums of a field (ny, nx) over 5 x 5 blocks around every block, (ny, nx)."""
     size = (CLUSTER, CLUSTER)
     return cv2.boxFilter(field, cv2.CV_32F, size, normalize=False, borderType=cv2.BORDER_REFLECT)
 

@@ -19,7 +19,7 @@ Float = NDArray[np.float32]
 
 
 def widened(ends: tuple[float, float]) -> tuple[float, float]:
-    """Range of displacements (lowest, highest) with a margin on either side, rounded outwards to whole px."""
+    """Widen a range of displacements (lowest, highest), px, by a margin, rounded outwards to whole px."""
     margin = MARGIN_PX + 0.25 * (ends[1] - ends[0])
     return float(np.floor(ends[0] - margin)), float(np.ceil(ends[1] + margin))
 
@@ -27,10 +27,12 @@ def widened(ends: tuple[float, float]) -> tuple[float, float]:
 def shifts(
     a: Float, b: Float, side: int = PATCH_PX, reach: tuple[int, int] = (REACH_PX, REACH_PX)
 ) -> NDArray[np.float64]:
-    """Displacements of large patches from image a to image b (h, w), within the reach (x, y), px.
+    """Find the displacements of large patches from image a to image b, both (h, w).
 
-    Returns (n, 5), one row for each patch that has contrast: displacement x and y, px (NaN if not found),
-    correlation, and the patch's centre x and y. Displacements are multiples of 2 px, of 1 px in small images.
+    A patch is a square of `side` px, or less in small images; `reach` (x, y) is the largest displacement that
+    is searched, px. Returns (n, 5), one row for each patch with contrast: displacement x and y, px (NaN if
+    not found), correlation, and the x and y of the patch's centre, px. Displacements are multiples of 2 px,
+    or of 1 px in small images. The result is empty for images below 64 px.
     """
     a, b = (np.asarray(image, np.float32) for image in (a, b))
     height, width = a.shape
@@ -60,14 +62,14 @@ def shifts(
 
 
 def _half(image: Float) -> Float:
-    """Image at half the size."""
+    """Return an image with half as many rows and columns, averaged over 2 x 2 px."""
     height, width = image.shape
     small = cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.float32)
 
 
 def _correlations(patch: Float, around: Float) -> Float:
-    """Normalised correlation of a patch at every position inside its surroundings."""
+    """Return the normalised correlation of a patch at every position inside the larger image `around`."""
     correlations = cv2.matchTemplate(
         np.ascontiguousarray(around), np.ascontiguousarray(patch), cv2.TM_CCOEFF_NORMED
     )
@@ -82,7 +84,11 @@ def _found(
     reach: tuple[int, int],
     min_correlation: float = MIN_CORRELATION,
 ) -> tuple[float, float, float]:
-    """Displacement, px, and correlation of the patch at column and row `at`; NaN if lost or ambiguous."""
+    """Return the displacement x and y of a patch of image a in image b, px, and the correlation there.
+
+    The patch is a square of `size` px that begins at column and row `at`. The displacement is NaN if no
+    correlation within `reach` (x, y), px, is above `min_correlation`, or if two are about equal.
+    """
     x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
     patch = a[at[1] : at[1] + size, at[0] : at[0] + size]
     correlations = _correlations(patch, b[y0 : at[1] + size + reach[1], x0 : at[0] + size + reach[0]])
@@ -95,10 +101,11 @@ def _found(
 
 
 def locate(patch: Float, around: Float) -> tuple[float, float, float]:
-    """Column and row, px, at which a patch fits best into its surroundings, and the correlation there.
+    """Return the column and row, px, at which a patch fits best into an image, and the correlation.
 
-    A parabola along each axis, through the largest correlation and its neighbours, refines the position. It
-    is NaN if the largest correlation lies at the border.
+    The position is where the patch's first pixel lies in the image `around`. A parabola along each axis,
+    through the largest correlation and its neighbours, refines it. It is NaN if the largest correlation lies
+    at the border.
     """
     correlations = _correlations(patch, around)
     _, best, _, (column, row) = cv2.minMaxLoc(correlations)
@@ -110,7 +117,11 @@ def locate(patch: Float, around: Float) -> tuple[float, float, float]:
 
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Those of the displacements (n, 2), px, that at least one other patch confirms, (m, 2)."""
+    """Return those of the patches' displacements (n, 2), px, that another patch confirms, (m, 2).
+
+    Two displacements confirm each other if they differ by less than 8 px plus a quarter of their length.
+    Displacements that are NaN are dropped.
+    """
     moved = moved[np.isfinite(moved[:, 0])]
     apart = np.hypot(*(moved[:, None] - moved).T) - AGREEMENT_PX - 0.25 * np.hypot(*moved.T)
     out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]

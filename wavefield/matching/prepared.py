@@ -65,21 +65,25 @@ class Level:
 
     @cached_property
     def moments(self) -> np.ndarray:
-        """(9, ny, nx) float32: sums of `gradient_moments`, stored because an image is matched repeatedly."""
+        """Sums over blocks from `gradient_moments`, (9, ny, nx) float32; computed once per image."""
         out = np.empty((9, *self.blocks), np.float32)
         gradient_moments(self.padded, work_space(self.blocks[1]), out)
         return out
 
     @cached_property
     def strain(self) -> np.ndarray:
-        """(8, ny, nx) float32: sums of `strain_moments`, stored like `moments`."""
+        """Sums over blocks from `strain_moments`, (8, ny, nx) float32; computed once per image."""
         out = np.empty((8, *self.blocks), np.float32)
         strain_moments(self.padded, work_space(self.blocks[1]), out)
         return out
 
     @cached_property
     def beads(self) -> tuple[np.ndarray, np.ndarray]:
-        """Number of the block to which each pixel's bead is assigned, (h, w), and Hessians, (3, ny, nx)."""
+        """Assignment of whole beads to blocks, (h, w), and the Hessians of the blocks, (3, ny, nx).
+
+        The first array holds, for each pixel, the number of the block that contains the top of its bead. The
+        second holds sums of gx gx, gx gy, gy gy over the pixels assigned to a block.
+        """
         ny, nx = self.blocks
         h, w = ny * BLOCK, nx * BLOCK
         smooth = cv2.GaussianBlur(self.padded, (0, 0), BEAD_SMOOTHING)
@@ -113,7 +117,7 @@ class PreparedImage:
 
 @dataclass(frozen=True)
 class Mask:
-    """The usable pixels, computed once for all images with the same mask."""
+    """The usable pixels of an image, prepared for matching; make it once for images with the same mask."""
 
     good: np.ndarray  # (h, w): 1 where a pixel is usable
     levels: tuple[np.ndarray, ...]  # (h, w): `Level.good` of each pyramid level, finest first
@@ -121,7 +125,7 @@ class Mask:
 
     @staticmethod
     def of(good: np.ndarray, settings: MatchSettings) -> Mask:
-        """Make a mask from usable pixels (h, w), for matching with these settings."""
+        """Make a mask for matching with these settings; `good` (h, w) is True for usable pixels."""
         usable = good = np.array(good, bool, order="C").view(np.uint8)
         levels = [_usable_blocks(good, 0)]
         for number in range(1, level_count(good.shape, settings.levels)):
@@ -195,7 +199,10 @@ def prepare(
 
 
 def level_count(shape: tuple[int, ...], levels: int) -> int:
-    """Number of pyramid levels of an image of this shape, at most `levels`."""
+    """Return the number of pyramid levels for an image of this shape, 1 to `levels`.
+
+    The coarsest level must be at least 40 px wide and high, so small images have fewer levels.
+    """
     side = min(shape)
     while levels > 1 and side >> (levels - 1) < MIN_LEVEL_SIDE:
         levels -= 1
@@ -205,7 +212,11 @@ def level_count(shape: tuple[int, ...], levels: int) -> int:
 def _normalize(
     image: np.ndarray, mask: Mask | None, settings: MatchSettings, padded: np.ndarray
 ) -> Mask | None:
-    """Write the normalised image inside its border; return the mask less invalid and saturated pixels."""
+    """Write the normalised image to `padded`, inside its border; return the mask for it.
+
+    The returned mask also excludes saturated pixels and those that are not finite. It is None if all pixels
+    are usable.
+    """
     width = settings.normalization
     cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
@@ -219,12 +230,16 @@ def _normalize(
 
 
 def _excluding(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> Mask:
-    """The mask without the bad pixels (h, w)."""
+    """Return a mask that also excludes the pixels `bad` (h, w); `mask` None means that all were usable."""
     return Mask.of(~bad if mask is None else (mask.good != 0) & ~bad, settings)
 
 
 def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
-    """Saturated patches, (h, w) bool, or None; `columns` are those in which the largest value occurs."""
+    """Return a mask (h, w) of saturated pixels: uniform patches of 5 x 5 px at the largest value.
+
+    It is None without such patches. `largest` is the largest value, and `columns` are the indices of the
+    columns in which it occurs.
+    """
     # every patch contains one pixel of a grid whose step is the side of the smallest patch
     columns = columns[columns % SATURATED_SIDE == SATURATED_SIDE - 1]
     if largest <= 0 or not (image[SATURATED_SIDE - 1 :: SATURATED_SIDE, columns] == largest).any():
@@ -240,7 +255,10 @@ def _padded(h: int, w: int) -> np.ndarray:
 
 
 def _usable_blocks(good: np.ndarray, level: int) -> np.ndarray:
-    """1 where all pixels of the block around a pixel are usable; on level 0 also those its spline needs."""
+    """Return a mask (h, w), 1 where all pixels of the block around a pixel are usable, else 0.
+
+    On level 0, the finest, the two pixels around the block that the spline reads must be usable as well.
+    """
     side = BLOCK + 4 if level == 0 else BLOCK
     return cv2.erode(good, np.ones((side, side), np.uint8), borderType=cv2.BORDER_REPLICATE)
 
@@ -259,9 +277,9 @@ def _replicate_border(padded: np.ndarray) -> None:
 
 @njit
 def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
-    """Sum groups of `side` neighbours among the first `count` elements of `row`.
+    """Write to `out` the sums of `side` neighbours each, among the first `count` elements of `row`.
 
-    The last group includes the remaining elements.
+    The last sum includes the elements that remain.
     """
     n = len(out)
     if side == 8:  # the usual side, in a form that vectorises
@@ -280,7 +298,7 @@ def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
 
 @njit
 def _add_row(row: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray) -> None:
-    """Add a row of pixels to sums s and sums of squares t of each column; update their maxima `top`."""
+    """Add a row of pixels to the sums s and sums of squares t of each column; update the maxima `top`."""
     for x in range(len(row)):
         v = F(row[x])
         s[x] += v
@@ -302,9 +320,10 @@ def _add_masked_row(
 
 @njit
 def _cell_sums(image: np.ndarray, usable: np.ndarray, side: int, rows: np.ndarray, out: np.ndarray) -> None:
-    """Write the sums of pixels and of their squares over each cell of `side` x `side` px to out (2, ny, nx).
+    """Write sums of pixels and of squared pixels over each cell of `side` x `side` px to out (2, ny, nx).
 
-    rows (3, >= w) is work space; rows[2] returns the largest pixel of each column.
+    Pixels where `usable` (h, w) is 0 do not count; it is empty if all count. `rows` (3, >= w) is scratch,
+    except that the caller reads the largest pixel of each column from rows[2].
     """
     h, w = image.shape
     ny = out.shape[1]
@@ -332,7 +351,10 @@ def _normalize_row(
     t: np.float32,
     out: np.ndarray,
 ) -> None:
-    """Normalise a row by mean and scale, a fraction t of the way from m0, s0 to m1, s1."""
+    """Write (row - mean) * scale to `out`, with mean and scale interpolated between two rows of cells.
+
+    They lie a fraction t of the way from mean m0 and scale s0 to mean m1 and scale s1.
+    """
     for x in range(len(row)):
         mean = m0[x] + t * (m1[x] - m0[x])
         scale = s0[x] + t * (s1[x] - s0[x])
@@ -350,7 +372,10 @@ def _clear_row(usable: np.ndarray, out: np.ndarray) -> None:
 def _normalize_image(
     image: np.ndarray, usable: np.ndarray, mean: np.ndarray, scale: np.ndarray, side: int, out: np.ndarray
 ) -> None:
-    """Write the normalised image inside the border of `out`; mean and scale (ny, w) belong to cells."""
+    """Write the normalised image inside the border of `out`; pixels that are not `usable` become 0.
+
+    `mean` and `scale` (ny, w) belong to rows of cells of `side` px, and are interpolated between the rows.
+    """
     ny, (h, w) = len(mean), image.shape
     border = (len(out) - h) // 2
     for y in range(h):
@@ -364,9 +389,14 @@ def _normalize_image(
 
 
 class NormalizationCells:
-    """Sums over square cells of an image (h, w), from which local means and the normalised image follow.
+    """Local means of an image (h, w) from sums over small square cells, for local normalisation.
 
-    `width` is the standard deviation of the Gaussian window, px; `usable` (h, w) is 1 where pixels count.
+    `width` is the standard deviation of the Gaussian window of the means, px. `usable` (h, w) is 1 for pixels
+    that count, else 0; by default all count.
+
+    Attributes: `side` of a cell, px; `sums` (2, ny, nx) of pixels and of squared pixels; `largest`, the
+    largest pixel; `brightest`, the indices of the columns with this value; `finite`, whether all pixels are
+    finite.
     """
 
     def __init__(self, image: np.ndarray, width: float, usable: np.ndarray | None = None) -> None:
@@ -383,7 +413,7 @@ class NormalizationCells:
         self.finite = bool(np.isfinite(self.sums[0].sum()))
 
     def local(self, number: int) -> np.ndarray:
-        """(ny, nx) float32: mean over the window of pixels (number 0) or of their squares (1)."""
+        """Return the mean of pixels (number 0) or of squared pixels (1) over the window, (ny, nx) float32."""
         mean = self.sums[number] * _inverse_area(self.image.shape, self.side)
         # subtract the blur that is there already: 1/12 by averaging over cells, 1/6 by linear interpolation
         sigma = np.sqrt((self.width / self.side) ** 2 - 0.25)
@@ -409,7 +439,7 @@ class NormalizationCells:
         _normalize_image(self.image, self.usable, self._spread(mean), self._spread(scale), self.side, out)
 
     def _spread(self, field: np.ndarray) -> np.ndarray:
-        """(ny, w) float32: a field on the cells (ny, nx), interpolated along its rows to pixels."""
+        """Interpolate a field on the cells (ny, nx) along its rows to pixels, (ny, w) float32."""
         if self.side == 1:
             return field
         ny, nx = field.shape
@@ -421,13 +451,17 @@ class NormalizationCells:
 
 
 def usable_share(usable: np.ndarray, width: float) -> np.ndarray:
-    """Fraction of usable pixels around each cell, (ny, nx) float32, never exactly 0."""
+    """Return the fraction of usable pixels around each cell, (ny, nx) float32, at least 0.001.
+
+    `usable` (h, w) is 1 for usable pixels, else 0; `width` is the standard deviation of the Gaussian window,
+    px.
+    """
     out: np.ndarray = np.maximum(NormalizationCells(usable, width).local(0), MIN_USABLE_SHARE)
     return out
 
 
 def _side(h: int, w: int, width: float) -> int:
-    """Side of the cells, px: a power of two, at most the width and an eighth of the image."""
+    """Return the side of the cells, px: 8, 4, 2 or 1, at most `width` and an eighth of the image h, w."""
     side = MAX_CELL_SIDE
     while side > 1 and (width < side or min(h, w) < 8 * side):
         side //= 2
@@ -436,7 +470,7 @@ def _side(h: int, w: int, width: float) -> int:
 
 @lru_cache(maxsize=16)
 def _inverse_area(shape: tuple[int, int], side: int) -> np.ndarray:
-    """(ny, nx) float32: reciprocal of the number of pixels of each cell."""
+    """Return the reciprocal of the number of pixels of each cell, (ny, nx) float32."""
     counts = []
     for n in shape:
         count = np.full(n // side, side, F)
