@@ -47,9 +47,9 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None)
 
 
 def _slice(words: str | None) -> slice | None:
-    """Return the slice of the steps that words such as 0:500:5 name; None without words.
+    """Return the slice of steps that text such as 0:500:5 names; None without text.
 
-    Raises BadParameter if the words have another form.
+    Raises BadParameter if the text has another form.
     """
     if words is None:
         return None
@@ -91,7 +91,7 @@ _PROGRAMS = ("wavefield", "uvmat", "opencv", "matlab")
 class _Files(click.Group):
     """A group of commands that runs `convert` if the first word is no command of the group.
 
-    A first word `show` may precede the files; it is skipped unless it is a file.
+    A first word `show` is skipped, unless there is a file of that name.
     """
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -178,10 +178,10 @@ def convert(
 
 
 def _sizes(given: tuple[str, ...], names: list[str]) -> dict[str, tuple[int, int]]:
-    """Return image sizes (width, height), px, by camera from words such as 1024x1024 and cam1=1024x1024.
+    """Return image sizes (width, height), px, by camera, from texts such as 1024x1024 and cam1=1024x1024.
 
-    A word without a camera counts for all `names`, or for cam1 to cam4 if there are none. Raises BadParameter
-    if a word has another form.
+    A text without a camera sets the size of all cameras `names`, or of cam1 to cam4 if `names` is empty.
+    Raises BadParameter if a text has another form.
     """
     out: dict[str, tuple[int, int]] = {}
     for entry in given:

@@ -38,7 +38,8 @@ class CommandSource:
     def cubes(self) -> list[tuple[str, Path]]:
         """Return the name of each chosen run of a catalog, and the path of its cube; the cube need not exist.
 
-        It is the cube of the recipe that was run last, unless the parameters name another recipe.
+        A run has one cube for each recipe (its settings). The cube is that of the recipe that was run last,
+        unless the parameters of the command name another recipe.
         """
         from wavefield.pipeline.catalog import cube_of, runs_of
 
@@ -53,9 +54,9 @@ class CommandSource:
 
 
 def named(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """Return values by the name of a parameter of a catalog, from words such as ``location=/disk2``.
+    """Return the parameters of a catalog as a mapping, from texts such as ``location=/disk2``.
 
-    Raises BadParameter if a word has no "=". Click passes the other arguments.
+    Raises BadParameter if a text has no "=". `context` and `parameter`, which click passes, do not matter.
     """
     for value in values:
         if "=" not in value:
@@ -117,14 +118,14 @@ def each(runs: Sequence[tuple[str, T]], work: Callable[[str, T], int], quiet: bo
 
 
 def worst(statuses: Sequence[int]) -> int:
-    """Return the worst exit status of several: 1 (failed), then 3 (remarks), then 0."""
+    """Return the worst of several exit statuses: 1 (failed) is worse than 3 (remarks), and 3 than 0."""
     return 1 if 1 in statuses else max(statuses, default=0)
 
 
 def with_cube(work: Callable[[Path], int]) -> Callable[[str, Path], int]:
-    """Return `work` in the form that `each` calls: a function of the name and the cube of a run.
+    """Return a function of the name and the cube of a run that calls `work` with the cube.
 
-    It raises StoreError if the run has no cube yet.
+    The function raises StoreError if the run has no cube yet.
     """
 
     def checked(run: str, cube: Path) -> int:

@@ -81,9 +81,9 @@ def comparison(store: Path, directory: Path) -> str:
 
 
 def inside(errors: "xr.Dataset", margin: float) -> "xr.Dataset":
-    """Return errors (time, y, x) with NaN near the edge of the nodes that were measured at some step.
+    """Return errors (time, y, x) with NaN within `margin`, m, of the edge of the measured region.
 
-    `margin` is the width of that edge, m.
+    The measured region consists of the nodes that have a value of z at some step.
     """
     import numpy as np
     from scipy.ndimage import binary_erosion

@@ -35,7 +35,10 @@ if TYPE_CHECKING:
 
 
 def _range(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    """Return the first and the last frame of words such as 0:49; raise BadParameter if they are none."""
+    """Return the first and the last frame that text such as 0:49 names; None without text.
+
+    Raises BadParameter if the text has another form or names fewer than two frames.
+    """
     if value is None:
         return None
     match = re.fullmatch(r"(\d+):(\d+)", value)
@@ -47,8 +50,9 @@ def _range(context: click.Context, parameter: click.Parameter, value: str | None
 def _trial(source: Path, frames: tuple[int, int], output: Path | None) -> tuple[Experiment, Path]:
     """Return the experiment limited to the frames from first to last, and the path of the cube to write.
 
-    That is `output`, or by default cube_FIRST_LAST.zarr. Raises ExperimentError if the record has fewer than
-    two of these frames.
+    `source` is the experiment file, and `frames` holds the numbers of the first and the last frame. The path
+    is `output`, or by default cube_FIRST_LAST.zarr next to the file. Raises ExperimentError if the record has
+    fewer than two of these frames.
     """
     from wavefield.errors import ExperimentError
     from wavefield.series import Experiment

@@ -38,7 +38,10 @@ def announce(url: str, port: int) -> None:
 
 
 def lower_priority(steps_to_come: int) -> None:
-    """Give this process the lowest priority if steps are still to come: a run may be measuring them here."""
+    """Give this process the lowest priority if the cube is unfinished, for the sake of a run on this machine.
+
+    `steps_to_come` is the number of steps that are not measured yet.
+    """
     if steps_to_come and hasattr(os, "nice"):  # Windows has no niceness
         os.nice(LAST - os.nice(0))
 

@@ -38,7 +38,7 @@ class Progress:
         self.done, self.total = 0, 0
 
     def stage_of(self, stage: str, unit: str = "") -> Callable[[int, int], None]:
-        """Return a function of parts done and all parts for a later stage; its first call begins that."""
+        """Return a function `report(done, total)` for a later stage; its first call begins this stage."""
 
         def report(done: int, total: int) -> None:
             if self.stage != stage:

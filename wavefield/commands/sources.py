@@ -24,9 +24,9 @@ def is_store(path: Path) -> bool:
 
 
 def source_of_experiment(experiment: Path, output: Path) -> str:
-    """Return a hash of the name of an experiment and of its path relative to the file `output`.
+    """Return a hash of the name of an experiment and of its path relative to the folder of `output`.
 
-    `output` stores it, so that a later command replaces the file only for the same experiment.
+    The file `output` stores the hash, so that a later command replaces it only for the same experiment.
     """
     from wavefield.atomic_write import identity_of
     from wavefield.series import Experiment

@@ -50,7 +50,7 @@ class MaskPanel:
         self.layout = column(self.words, buttons, sizing_mode="stretch_width")
 
     def show(self, place: Place) -> None:
-        """Do nothing; panels need this method, but masks do not depend on the state of the page."""
+        """Do nothing: the page calls this method of all its panels, but masks do not depend on its state."""
 
     def add(self, image: str, corner: Corner) -> None:
         """Add a corner of the mask `image`: px in the image of that camera, or metres for `WATER`."""
@@ -62,7 +62,10 @@ class MaskPanel:
         return [corner for name, corner in self._corners if name == image]
 
     def closed_line(self, image: str) -> dict[str, list[float]]:
-        """Return the corners of `polygon` as columns x and y; the first corner is repeated at the end."""
+        """Return the corners of a mask as columns "x" and "y", with the first corner repeated at the end.
+
+        `image` is as for `polygon`.
+        """
         corners = self.polygon(image)
         line = [*corners, *corners[:1]]
         return {"x": [float(x) for x, _ in line], "y": [float(y) for _, y in line]}
@@ -110,9 +113,10 @@ made.y_range.setv({start: height + dy, end: -dy, reset_start: height + dy, reset
 
 
 def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
-    """Return an image (row, column) as 8 bits, averaged over n x n pixels to fit on a screen, and n.
+    """Return a small 8-bit copy of an image (row, column), and the factor n by which it is smaller.
 
-    Grey levels are stretched from the 0.5 % to the 99.5 % quantile of the brightness.
+    Each pixel of the copy is the mean of n x n pixels, so that the copy fits on a screen. Its grey levels are
+    stretched from the 0.5 % to the 99.5 % quantile of the brightness.
     """
     factor = max(1, -(-max(image.shape) // MAX_SCREEN_PX))
     h, w = (n - n % factor for n in image.shape)
@@ -142,7 +146,7 @@ def fit_image(made: figure, shape: tuple[int, ...]) -> None:
 def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
     """Show an image (row, column) on axes in px of the camera.
 
-    The image is averaged over n x n pixels to fit on a screen, and goes into `source`. Returns n.
+    `source` receives a copy of the image, averaged over n x n pixels to fit on a screen. Returns n.
     """
     fit_image(made, image.shape)
     small, factor = shrink(image)
@@ -155,11 +159,11 @@ def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
 def visible_nodes(
     camera: Camera, x: NDArray[np.floating], y: NDArray[np.floating], fields: Fields, dt: float
 ) -> Fields:
-    """Return the n nodes of a step that a camera sees in the first frame of the step.
+    """Return the n nodes whose water a camera sees in the first frame of a step.
 
-    `fields` are z, u, v, w and quality, (ny, nx), at x, y (ny, nx), metres; `dt` is the time step, s. Returns
-    arrays (n,) by name: x and y (metres), the column X and row Y (px) where the camera sees the water that is
-    at the node half a step later, and `kind`, the index into `KINDS`.
+    `fields` are z, u, v, w and quality at the middle of the step, (ny, nx), at x, y (ny, nx), metres. `dt` is
+    the time step, s. Returns arrays (n,) by name: x and y of the nodes (metres), X and Y, the column and row
+    where their water was half a step earlier (px), and `kind`, the kind of quality as an index into `KINDS`.
     """
     z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
     half = [np.where(np.isfinite(fields[n]), 0.5 * dt * fields[n], 0.0) for n in _MOTION]

@@ -187,7 +187,10 @@ class FollowPage:
 
 
 def _large(heading: str, colour: str, words: str) -> str:
-    """Return HTML: `heading` in a large font and a colour, then `words`, which must already be HTML."""
+    """Return HTML with `heading` in a large font and a colour, and `words` after it.
+
+    `words` must be HTML already; they are not escaped.
+    """
     return f"<b style='font-size: 19px; color: {colour}'>{plain(heading)}</b> &nbsp; {words}"
 
 

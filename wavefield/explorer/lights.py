@@ -27,9 +27,9 @@ _ORDER = ("arrival", "synchronisation", "brightness", "saturation", "seeding", "
 
 @dataclass(frozen=True)
 class LightLimits:
-    """Limits of the status lights: a quantity beyond the first is doubtful, beyond the second bad.
+    """Limits of the status lights: a quantity is doubtful beyond the first limit and bad beyond the second.
 
-    Where the second limit is the smaller one, small values are bad.
+    If the second limit is smaller than the first, "beyond" means below.
     """
 
     saturated: Limits = (0.01, 0.05)  # fraction of pixels
@@ -46,7 +46,10 @@ class LightLimits:
 
 @dataclass(frozen=True)
 class RelativeLimits:
-    """Limits of quantities divided by their medians over the first steps: first doubtful, then bad."""
+    """Limits of the status lights for quantities divided by their medians over the first steps.
+
+    A ratio is doubtful beyond the first of two limits, and bad beyond the second.
+    """
 
     brightness: float = 0.5  # bad if the light of beads and of background are both below it: a lamp is off
     cells: Limits = (0.7, 0.4)  # fraction of cells with beads
@@ -120,8 +123,8 @@ class PairSummary:
 def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, float]) -> StepSummary:
     """Return the summary of a measured step.
 
-    `fields` are z (m), eps_piv (px) and quality, (ny, nx), by name; `z_range` is the searched range of z, m.
-    If no node has a value, eps_piv and range_used are NaN.
+    `fields` are z (m), eps_piv (px) and quality, (ny, nx), by name. `z_range` holds the ends of the range in
+    which z was searched, m. If no node has a value, eps_piv and range_used are NaN.
     """
     z = np.asarray(fields["z"], float)
     valid = np.isfinite(z)
@@ -146,13 +149,19 @@ class Baseline:
     _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)
 
     def add(self, name: str, values: object) -> None:
-        """Add the summary `values`, a dataclass of numbers, of a camera or pair; only `n_steps` are kept."""
+        """Add the summary `values`, a dataclass of numbers, of the camera or pair `name`.
+
+        Only the first `n_steps` summaries of each are kept; later ones are ignored.
+        """
         first = self._first.setdefault((type(values), name), [])
         if len(first) < self.n_steps:
             first.append(values)
 
     def medians(self, kind: type[T], name: str = "") -> T | None:
-        """Return the medians of a camera's or pair's summaries of class `kind`; None before `n_steps`."""
+        """Return the medians of the summaries of class `kind` of the camera or pair `name`.
+
+        The result is None until `n_steps` summaries have been added.
+        """
         first = self._first.get((kind, name), [])
         if len(first) < self.n_steps:
             return None
@@ -163,7 +172,8 @@ class Baseline:
 def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -> list[StatusLight]:
     """Return the lights of brightness, saturation, seeding and focus of one camera.
 
-    `now` are the features of its newest frame, `first` their medians over the first steps, None until known.
+    `now` holds the features of its newest frame, `first` the medians of the features over the first steps, or
+    None while these are not known.
     """
     words = f"beads at {now.peak:.0f}, background {now.background:.0f}"
     dark = False
@@ -197,7 +207,7 @@ def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> Status
     """Return the light of a pair of cameras such as "a-b".
 
     It is doubtful or bad if the epipolar error is large or few blocks match, as after one camera was moved.
-    `first` are the medians over the first steps, None until they are known.
+    `first` holds the medians of `now` over the first steps, or None while they are not known.
     """
     state = _worse(_state(now.eps_y, LIMITS.eps_y), _state(now.matched, LIMITS.matched))
     if first is not None:
@@ -209,10 +219,11 @@ def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> Status
 def arrival_lights(
     silent: Mapping[str, float], written: Mapping[str, float], newest: Mapping[str, int], frame_rate: float
 ) -> list[StatusLight]:
-    """Return two lights per camera: whether frames still arrive, and how much later than those of others.
+    """Return a light "arrival" for each camera, and a light "synchronisation" for each that has frames.
 
-    The mappings are by camera. `silent` is the time since its newest frame was noticed, s. `written` is the
-    time at which that frame was written, s since the epoch. `newest` is its number. `frame_rate` is in Hz.
+    The first shows whether frames still arrive, the second how far the camera is behind the others. The
+    mappings are by camera: `silent` holds the time since its newest frame was noticed, s, `written` the time
+    at which this frame was written, s since the epoch, and `newest` its number. `frame_rate` is in Hz.
     """
     out = []
     for camera, since in silent.items():
@@ -233,7 +244,7 @@ def arrival_lights(
 def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight]:
     """Return the lights of misfit, fraction of measured nodes, and range of z for a measured step.
 
-    `first` are the medians of the first steps, None until they are known.
+    `first` holds the medians of `now` over the first steps, or None while they are not known.
     """
     coverage = _state(now.coverage, LIMITS.coverage)
     if first is not None:

@@ -60,7 +60,10 @@ class FolderWatch:
         self._frames: dict[str, dict[int, FrameEntry]] = {}
 
     def poll(self) -> None:
-        """List the image folders and note the newest frame of each camera; errors go to `trouble`."""
+        """List the image folders and note the newest frame of each camera.
+
+        An error in a folder is kept in `trouble`, by camera.
+        """
         self._polled = time.monotonic()
         for name, section in self.experiment.cameras.items():
             try:
@@ -84,10 +87,10 @@ class FolderWatch:
         return {name: self._polled - when for name, when in self._noticed.items()}
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
-        """Return the newest two successive frames that all recording cameras have, or None without any.
+        """Return the newest two successive frames that all recording cameras have, or None if there are none.
 
-        The number of the first must be above `after`. A camera far behind the others does not count as
-        recording.
+        The number of the first of the two frames is above `after`. A camera far behind the others does not
+        count as recording.
         """
         latest = max(self.written.values(), default=0.0)
         longest = lights.LIMITS.delay[1]  # a camera further behind the others counts as stopped
@@ -133,7 +136,7 @@ class LiveMeasurement:
         self.trouble = ""  # why nothing is measured
 
     def measure(self, frames: FrameSet) -> tuple[Fields, StepSummary | None]:
-        """Return the fields (ny, nx) of a step by name, and the summary of the step.
+        """Measure the step between two frames: return its fields (ny, nx) by name, and its summary.
 
         Returns ({}, None) without a rig or after an error; `trouble` then holds the reason.
         """
@@ -183,12 +186,15 @@ class LiveMeasurement:
         return out
 
     def _bare(self, name: str, image: NDArray[Any]) -> NDArray[Any]:
-        """Return an image (row, column) of a camera minus its background image, as in a run."""
+        """Return an image (row, column) of the camera `name` minus the camera's background image."""
         background = self._backgrounds.get(name)
         return image if background is None else subtracted(image, background)
 
     def _prepare(self, images: Mapping[str, NDArray[Any]]) -> None:
-        """Load the rig and compute geometry and masks; `images` are by camera; errors go to `trouble`."""
+        """Load the rig, and compute the geometry and the masks for the images, given by camera.
+
+        If this fails, `trouble` holds the reason and nothing is measured.
+        """
         from wavefield.execution.workflow import Workflow
         from wavefield.pipeline.prepare import make_settings
 
@@ -229,7 +235,7 @@ class Learner:
     def add(self, frames: tuple[Frames, Frames], masks: tuple[Masks, Masks]) -> None:
         """Add the two frames of a step and their masks, by camera, and estimate the model again.
 
-        An estimate delays the measurement of the step, so it is left out if the last one was recent.
+        An estimate delays the measurement of the step, so it is skipped if the last one was recent.
         """
         self._steps.append((frames, masks))
         begun = time.monotonic()
@@ -261,7 +267,10 @@ class FollowedSet:
 
 
 class Follower:
-    """Watches, measures and rates an experiment in its own thread; pages read the result `latest`."""
+    """Finds, measures and rates the newest frames of an experiment in its own thread.
+
+    Pages read the result from `latest`.
+    """
 
     def __init__(self, experiment: Experiment, rig: Rig | Path | None = None) -> None:
         self.experiment = experiment

@@ -31,9 +31,10 @@ _HEAD = 0.32  # length of an arrow's head over that of the arrow
 
 
 def map_aspect(ratio: float) -> float:
-    """Return the width over the height of a map figure with its axes and colour bar.
+    """Return the width over the height of a map figure, with axes and colour bar.
 
-    `ratio` is the width over the height of the field. In a figure 900 px wide the field fills the axes.
+    `ratio` is the width over the height of the field. The result is between 0.8 and 3. The margins are those
+    of a figure 900 px wide.
     """
     return float(np.clip(ratio * 900 / (768 + 60 * ratio), 0.8, 3.0))
 
@@ -45,10 +46,10 @@ def top_speed(u: Field, v: Field) -> float:
 
 
 def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Field, Field, float]:
-    """Return n velocity arrows as lines x, y (7 n,), metres, and their scale, metres of arrow per m/s.
+    """Return lines x, y (7 n,), metres, that draw n velocity arrows, and their length per speed, m per m/s.
 
-    u, v (ny, nx) are in m/s, at nodes x (nx,) and y (ny,). An arrow for the speed `fastest`, m/s, is a little
-    longer than the distance between arrows. Each arrow has six points, and a NaN separates it from the next.
+    u, v (ny, nx) are in m/s, at the nodes x (nx,) and y (ny,), metres. Each arrow has six points and a NaN
+    after them. An arrow of the speed `fastest`, m/s, is a little longer than the distance between arrows.
     """
     every = max(1, round(max(len(x), len(y)) / MARKS_ACROSS))
     thin = slice(every // 2, None, every)
@@ -152,10 +153,10 @@ class MapPanel:
         return changed
 
     def limits(self, place: Place) -> tuple[float, float]:
-        """Return the ends of the colour scale in the displayed unit: those that the user entered, if any.
+        """Return the lower and upper end of the colour scale, in the displayed unit.
 
-        Otherwise they are fitted to the step of this variable that was shown first; (-1, 1) until a step has
-        values.
+        They are the values that the user entered. Without these they are fitted to the step at which the
+        variable was first shown; they are (-1, 1) until a step with values is shown.
         """
         name = place.coloured
         if name not in self._fitted:

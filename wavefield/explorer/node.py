@@ -33,9 +33,10 @@ class Spectrum(NamedTuple):
 
 
 def longest_run(values: Array) -> Array:
-    """Return the longest part of a series (n,) without a gap of more than two steps; empty without values.
+    """Return the longest part of a series (n,) that has no gap of more than two steps.
 
-    Gaps of one or two steps in it are interpolated linearly, as in `wavefield analyze`.
+    Gaps of one or two steps are filled by linear interpolation, as in `wavefield analyze`. The result is
+    empty if the series has no values.
     """
     from wavefield.waves.record import LONGEST_BRIDGE  # takes a second to import
 
@@ -49,10 +50,10 @@ def longest_run(values: Array) -> Array:
 
 
 def spectrum(values: Array, dt: float, segment_s: float | None = None) -> Spectrum | None:
-    """Return the Welch spectrum of the `longest_run` of a series (n,), or None if that is below 32 steps.
+    """Return the Welch spectrum of the `longest_run` of a series (n,), or None if it is below 32 steps long.
 
-    `dt` is the time step, s. Hann windows overlap by half. They last `segment_s`, s; by default a power of
-    two of steps, from 32 to 1024, that gives at least eight windows if the run is long enough.
+    `dt` is the time step, s. The segments overlap by half, under Hann windows, and last `segment_s`, s. By
+    default they have a power of two of steps, from 32 to 1024, so that a long run has at least eight of them.
     """
     from scipy import signal  # takes most of a second to import
 
@@ -197,7 +198,7 @@ class NodePanel:
         )
 
     def _index(self, y: Array, x: Array) -> tuple[int, int]:
-        """Return the row and column of the node nearest to the picked one, on axes y (ny,) and x (nx,)."""
+        """Return the indices on axes y (ny,) and x (nx,) of the node nearest to the picked node."""
         assert self._node is not None
         return nearest(y, self._node[1]), nearest(x, self._node[0])
 
@@ -211,7 +212,7 @@ class NodePanel:
     def _series(self, name: str, unit_of: str = "") -> Array:
         """Return a variable, (time,), at the node of the thinned cube that is nearest to the picked node.
 
-        It is in the displayed unit of the variable `unit_of`, by default its own.
+        The values are in the unit in which the variable `unit_of` is displayed, by default `name` itself.
         """
         preview, factor = self._record.preview, display(unit_of or name).factor
         return preview.series(name, *self._index(preview.y, preview.x)) * np.float32(factor)
@@ -296,7 +297,10 @@ class NodePanel:
 
 
 def _reading(name: str, values: dict[str, float]) -> str:
-    """Return a variable as text in its displayed unit, with its uncertainty `name_std` if `values` has it."""
+    """Return a variable as text in its displayed unit, with its standard uncertainty if there is one.
+
+    `values` holds both, by `name` and `name_std`, in the units of the cube.
+    """
     shown, value, std = display(name), values[name], values.get(f"{name}_std", np.nan)
     if not np.isfinite(value):
         return f"{name} none"

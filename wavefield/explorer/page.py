@@ -168,7 +168,7 @@ class LookPage:
             document.on_event(DocumentReady, lambda event: self._ready())
 
     def _ready(self) -> None:
-        """Show the picked node first, then probes, masks and verdict, because their imports take a second."""
+        """Show the picked node, and then probes, masks and verdict, which take a second to import."""
         self._soon(self._show_picked)
 
         def read() -> None:
@@ -216,9 +216,9 @@ class LookPage:
             self._soon(self._show_view if list(changed) == ["tab"] else self.redraw)
 
     def entered(self, name: str) -> str | int:
-        """Return what the user entered in the list or slider `name`; an invalid value becomes a valid one.
+        """Return what the user entered in the list or slider `name`.
 
-        The browser is not trusted: it can send anything.
+        An invalid value, which a browser could send, is replaced by a valid one.
         """
         widget = self.controls[name]
         if isinstance(widget, Select):
@@ -282,7 +282,7 @@ class LookPage:
     # -- drawing ---------------------------------------------------------------------------------------
 
     def _soon(self, draw: Callable[[], None]) -> None:
-        """Schedule a call of `draw` for the next tick of the server, once however often it is requested."""
+        """Schedule a call of `draw` for the next tick of the server, unless one is already scheduled."""
         name = draw.__name__
         if self._document is None or name in self._scheduled:
             return
@@ -303,7 +303,7 @@ class LookPage:
             self._show_head()
 
     def redraw(self) -> None:
-        """Draw map, open tabs and controls for the present state of the page."""
+        """Draw the map, the controls and the open tabs for the present state of the page."""
         step, record = self.place.step, self.session.record
         if self._error:
             self._error = ""
@@ -364,7 +364,7 @@ class LookPage:
     # -- the head --------------------------------------------------------------------------------------
 
     def _show_head(self) -> None:
-        """Show how many steps are measured, how much of the preview for series is read, and errors."""
+        """Show how many steps are measured, how much of the thinned copy for series is read, and errors."""
         record, preview = self.session.record, self.session.record.preview
         done, steps = record.steps_done, record.layout.steps
         words = f"{steps} steps at {record.frame_rate:g} Hz, {spell_time(steps / record.frame_rate)}"
@@ -378,7 +378,7 @@ class LookPage:
         self.state.text = f"{self._error} {words}".strip()
 
     def _show_verdict(self) -> None:
-        """Show the verdict of the run, if there is one; a click on it unfolds its remarks."""
+        """Show the verdict of the run, if there is one. The user can unfold its remarks with a click."""
         try:
             found = read_verdict(self.session.record.path)
         except WavefieldError as error:

@@ -80,10 +80,10 @@ class Place:
     def read(
         cls, query: Mapping[str, str], names: Sequence[str] = (), steps: int = 0, first: int = 0
     ) -> "Place":
-        """Return the state that a query describes, by name and value; values that are not valid are ignored.
+        """Return the state that the query of a link describes; values that are not valid are ignored.
 
-        `names` are the variables of the cube, `steps` is its number of steps, and `first` the step that is
-        shown if the query names none.
+        `query` maps names of fields to text. `names` are the variables of the cube, `steps` is its number of
+        steps, and `first` is the step of the state if the query has none.
         """
         out = cls(step=first, show="w" if "w" in names or not names else names[0])
         choices = _CHOICES | {"show": tuple(names)}
@@ -221,9 +221,10 @@ def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UI
 
 
 def make_sources(prefix: str, **columns: str) -> dict[str, ColumnDataSource]:
-    """Return empty data sources by key; each keyword is a key, its value lists the names of the columns.
+    """Return one empty Bokeh data source for each keyword argument, by keyword.
 
-    The name of a source is the prefix, an underscore and the key.
+    The value of an argument lists the columns of the source, separated by spaces. The name of the source is
+    the prefix, an underscore and the keyword.
 
     Examples
     --------
@@ -254,9 +255,9 @@ def on_click(made: figure, handle: Callable[[Tap], None]) -> None:
 def add_hover(
     made: figure, *rows: tuple[str, str], renderers: Sequence[object] = (), mode: str = "mouse"
 ) -> None:
-    """Add a tooltip for the point under the pointer; each row is a name and a format of Bokeh.
+    """Add a tooltip for the point under the pointer to a figure; each row is a name and a format of Bokeh.
 
-    `renderers` are the drawings that it describes, by default all; `mode` is that of Bokeh's HoverTool.
+    `renderers` are the drawings with a tooltip, by default all. `mode` is an argument of Bokeh's HoverTool.
     """
     drawn = list(renderers) or "auto"
     made.add_tools(HoverTool(tooltips=list(rows), mode=mode, renderers=drawn, line_policy="nearest"))
@@ -264,7 +265,7 @@ def add_hover(
 
 @cache
 def asset(name: str) -> str:
-    """Return the text of the file `name` in the folder `assets`."""
+    """Return the text of the file `name` in the folder `assets` of the pages."""
     return files("wavefield.explorer").joinpath(f"assets/{name}").read_text(encoding="utf-8")
 
 
@@ -278,9 +279,9 @@ def apply_template(
 ) -> None:
     """Set the HTML template of a Bokeh document.
 
-    `heading` and `command` (the wavefield command) make its title. `places` are the names of the root
-    elements, in order. With `keys` the page lists the keyboard keys. `aspect` is the width of the map over
-    its height: it limits the width of the tabs so that the map fits into the height of the window.
+    `heading` and `command`, the name of the wavefield command, make the title. `places` are the names of the
+    root elements, in order. With `keys` the page lists the keyboard keys. `aspect`, the width over the height
+    of the map, limits the width of the tabs so that the map fits into the height of the window.
     """
     document.title = f"{heading} – wavefield {command}"
     document.template = Environment(autoescape=True).from_string(asset("page.html"))
@@ -295,7 +296,7 @@ def apply_template(
 
 
 def text_line(name: str, text: str = "", html: bool = False) -> Div:
-    """Return a paragraph of full width; with `html` the text is HTML, in which the caller escapes text."""
+    """Return a paragraph of full width; with `html`, `text` is HTML that the caller has escaped."""
     return Div(
         text=text, name=name, sizing_mode="stretch_width", render_as_text=not html, disable_math=True
     )  # fmt: skip
@@ -323,7 +324,7 @@ def chosen(choice: Select) -> str:
 
 
 def named(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the options of a list of variables: pairs of a name, and the name with its meaning."""
+    """Return a pair for each variable: its name, and the name with its meaning, as options of a list."""
     return [(name, f"{name}: {TABLE[name].long_name}") for name in names]
 
 
@@ -407,7 +408,10 @@ def colour_bar(mapper: LinearColorMapper) -> ColorBar:
 
 
 def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
-    """Return the columns of an image source: values (ny, nx) as pixels around the nodes x (nx,), y (ny,)."""
+    """Return the columns of a data source that draws values (ny, nx) as one image.
+
+    Each pixel is centred on its node, at x (nx,) and y (ny,), metres.
+    """
     dx, dy = (float(v[-1] - v[0]) / max(len(v) - 1, 1) or 1.0 for v in (x, y))
     return {
         "image": [np.ascontiguousarray(values, np.float32)],
@@ -422,10 +426,10 @@ def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
 
 
 def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
-    """Return x and series (n,) thinned so that crests and troughs of the first series stay visible.
+    """Return x and each series (n,), thinned to the same m samples, so that crests and troughs stay visible.
 
-    Each bin of samples keeps the two at which the first series is lowest and highest, in order: (m,). Series
-    of at most `MOST_POINTS` are returned as they are.
+    In each bin of successive samples, the two are kept at which the first series is lowest and highest.
+    Series of at most `MOST_POINTS` samples are returned unchanged.
     """
     if x.size <= MOST_POINTS:
         return (x, *series)
@@ -443,9 +447,9 @@ def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
 def band(value: Series, std: Series, thinned: bool) -> tuple[Series, Series]:
     """Return the edges value - std and value + std, each (n,), of a band; NaN in gaps.
 
-    `thinned` tells that `envelope` thinned the series, so that it alternates between crests and troughs. The
-    band is then widened to enclose the neighbours of each point: an alternating band would hide the line, and
-    a browser takes seven times as long to fill it.
+    `thinned` tells that `envelope` has thinned the series, which then alternates between crests and troughs.
+    The band is widened in that case to enclose the two neighbours of each point, because an alternating band
+    would hide the line.
     """
     low, high = value - std, value + std
     if not thinned:

@@ -75,7 +75,7 @@ class CubeRecord:
         return str(self.group.attrs["experiment"])
 
     def refresh(self) -> bool:
-        """Read the status of the steps again, drop fields of changed steps; return whether any changed."""
+        """Read `frame_status` again, forget the fields of steps whose status changed; tell if any did."""
         ledger = read_array(self.group, self.path, "frame_status")
         changed = ledger != self.ledger
         for key in [key for key in self._cache if changed[key[1]]]:
@@ -148,7 +148,7 @@ class Preview:
         return int(self.loaded.sum())
 
     def load(self) -> None:
-        """Read the chunks that are done and not in memory yet; an error is noted in `trouble`."""
+        """Read the chunks that are done but not in memory. A chunk that fails is noted in `trouble`."""
         with self._lock:
             measured = self.measured
             self.loaded &= measured  # a chunk that is being measured again must be read again
@@ -180,7 +180,7 @@ class LookSession:
 
     @cached_property
     def run(self) -> "Run":
-        """Rig, experiment, images, waves and probes of the cube; slow to open, so not for the first map."""
+        """Rig, experiment, images, waves and probes of the cube; they take long to open at first use."""
         import xarray as xr
 
         from wavefield.pipeline import Run
@@ -192,7 +192,7 @@ class LookSession:
         return Run(axes, record.path, self.waves_path)
 
     def reopen(self) -> None:
-        """Let the files of the run be read again at the next use, because they have changed."""
+        """Forget the opened `run`, so that its files are read again at the next use."""
         self.run = replace(self.run)
 
     def load(self) -> threading.Thread:

@@ -41,9 +41,9 @@ def requested_place(session: LookSession, query: dict[str, str]) -> Place:
 
 
 def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
-    """Return x and y, metres, of the node measured at this step that is nearest to the middle of the grid.
+    """Return x and y, metres, of the node nearest to the middle of the grid that has a value at this step.
 
-    If none is measured there, it is the node nearest to the middle.
+    If no node has a value, it is the node nearest to the middle.
     """
     x, y = np.meshgrid(record.x - record.x.mean(), record.y - record.y.mean())
     distance = np.hypot(x, y)

@@ -21,7 +21,10 @@ _WRAP = {"flex-wrap": "wrap"}
 
 
 def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return log10 of a density over its largest value, -`DECADES` at least; NaN if no value is positive."""
+    """Return log10(density / its largest value), in the shape of `density`, clipped below at -`DECADES`.
+
+    All values are NaN if the density is nowhere positive.
+    """
     top = float(np.nanmax(density)) if np.isfinite(density).any() else 0.0
     if top <= 0:
         return np.full(density.shape, np.nan, np.float32)
@@ -30,9 +33,10 @@ def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def doppler_relation(k: NDArray[np.floating], current: float, depth: float) -> NDArray[np.floating]:
-    """Return the frequency, Hz, of free waves at a fixed point, (omega(k) + k U) / 2 pi, in the shape of k.
+    """Return the frequencies, Hz, at a fixed point, of free waves on a current, in the shape of k.
 
-    k is the wavenumber, rad/m, of waves along the current U = `current`, m/s; `depth` is in metres.
+    k is their wavenumber, rad/m. `current` is the component of the current in the direction of the waves,
+    m/s, and `depth` the depth of the water, m.
     """
     return np.asarray((water.dispersion(k, depth) + k * current) / (2 * np.pi))
 
@@ -110,7 +114,7 @@ class WavePanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Draw the spectra of the whole record as soon as they are written; `place` does not matter."""
+        """Draw the spectra of the whole record, once, when they exist; the state `place` does not matter."""
         if self._spectra is not None:
             return
         session = self._session

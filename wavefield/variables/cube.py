@@ -74,9 +74,9 @@ INSTANTANEOUS = 1  # value of `path_frames`: instantaneous velocities, as of a m
 
 
 def frames_of_path(code: int) -> int:
-    """Return the number of frames that a value of ``path_frames`` stands for.
+    """Return the number of frames that a value of the variable ``path_frames`` stands for.
 
-    The value is the number itself, except `EXACT_SIX`, another set of weights for six frames.
+    It is `code` itself, but 6 for the code `EXACT_SIX`, which stands for another set of weights.
     """
     return 6 if code == EXACT_SIX else code
 

@@ -35,9 +35,9 @@ def _powers(unit: str) -> dict[str, int]:
 
 
 def product(*factors: tuple[str, int]) -> str:
-    """Return the units of the product of units to some powers, given as pairs (unit, power), radians last.
+    """Return the unit of a product as text such as "m3 s-1 rad-2", with radians last.
 
-    The result has the form "m3 s-1 rad-2".
+    Each factor is a pair (unit, power). The unit of a pure number is "1".
     """
     powers: dict[str, int] = {}
     for unit, power in factors:
@@ -107,9 +107,9 @@ class Variable:
         return out | dict(self.extra)
 
     def of(self, what: str, units: str) -> dict[str, Any]:
-        """Return the attributes of the variable for the quantity `what`, which has these units.
+        """Return the attributes of the variable for one quantity, with the units of this quantity.
 
-        `long_name` becomes "... of `what`".
+        `what` is the name of the quantity; "of `what`" is added to `long_name`.
         """
         return self.attrs | {"long_name": f"{self.long_name} of {what}", "units": units}
 
@@ -125,7 +125,10 @@ def register(*rows: Variable) -> None:
 
 
 def find(name: str, group: str = "") -> Variable | None:
-    """Return the table's row for a variable of a group, or the row of that name for all groups, or None."""
+    """Return the row of the table for a variable of a group of a store.
+
+    If the group has no such row, it is the row of this name without a group, or None if there is none either.
+    """
     return TABLE.get(f"{group}/{name}", TABLE.get(name))
 
 

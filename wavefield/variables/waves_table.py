@@ -35,9 +35,10 @@ def density_units(unit: str, *over: str) -> str:
 
 
 def rows(group: str, dims: tuple[str, ...], *rows: tuple[Any, ...], **more: Any) -> None:
-    """Add variables of one group and shape to the table, each given as (name, units, long_name[, meaning]).
+    """Add variables of one group, with the dimensions `dims`, to the table of variables.
 
-    `more` are further fields of `Variable`; the type is float64 by default.
+    Each row is (name, units, long_name) or (name, units, long_name, meaning). `more` holds further fields of
+    `Variable` for all rows; the type is float64 by default.
     """
     for name, units, text, *meaning in rows:
         note = meaning[0] if meaning else ""
@@ -181,7 +182,7 @@ _SECTION = re.compile(r"/(\w*) \(([\w, ]*)\) ?(\w*)")
 
 
 def _rows(text: str) -> list[Variable]:
-    """Return the variables listed in the text of `wave_variables.txt`, which begins with its format."""
+    """Return the variables in the text of `wave_variables.txt`, whose first lines explain its format."""
     rows: list[Variable] = []
     group, dims, dtype = "", (), ""
     for line in text.replace("\n|", " |").splitlines():
