@@ -36,14 +36,17 @@ MARK_ATTRIBUTE = "wavefield_mark"  # of the root of a Zarr store
 
 @dataclass(frozen=True)
 class Product:
-    """A kind of output file or store of wavefield, and the identity of the data that it is made from."""
+    """The mark of an output of wavefield: its kind, and the identity of the data it is made from."""
 
     kind: str  # Such as "report" or "wave store", in small letters
     source: str = "0" * 16  # Identity of the data that it is made from, as `identity_of` returns it
 
 
 def identity_of(*parts: object) -> str:
-    """Return sixteen hexadecimal digits, a hash of `parts`: values that JSON or `str` can write."""
+    """Return sixteen hexadecimal digits, a hash of `parts`, that identify data.
+
+    The parts are values that `json.dumps` accepts; others are hashed as `str` writes them.
+    """
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
@@ -57,8 +60,10 @@ def file_names(folder: Path) -> list[str]:
 
 
 def read_mark(path: Path) -> Product | None:
-    """Return the product that the mark of a file or Zarr store names; StoreError without permission to read.
-    None if it has no mark, or if its content was changed since the mark was written.
+    """Return the kind and source in the mark of a file or Zarr store of wavefield, as a `Product`.
+
+    None if there is no mark, or if the content was changed since the mark was written. StoreError if the user
+    may not read it.
     """
     try:
         if path.is_dir():
@@ -79,14 +84,14 @@ def read_mark(path: Path) -> Product | None:
 
 
 def has_mark(store: Path) -> bool:
-    """Whether a Zarr store has a mark of wavefield; its content is not compared with the mark."""
+    """Whether a Zarr store has a mark of wavefield; whether it was changed since is not checked."""
     with suppress(OSError):
         return MARK_ATTRIBUTE.encode() in (store / "zarr.json").read_bytes()
     return False
 
 
 def write_mark(path: Path, product: Product) -> None:
-    """Append the mark of a product to a finished file, or add it to the attributes of a Zarr store."""
+    """Append a mark (kind, source, digest) to a finished file, or add it to a Zarr store's attributes."""
     if path.is_dir():
         file = path / "zarr.json"
         data = json.loads(file.read_bytes())
@@ -100,7 +105,7 @@ def write_mark(path: Path, product: Product) -> None:
 
 
 def _digest(path: Path) -> str:
-    """Return the digest of a file, or of all files of a Zarr store; their mark is left out."""
+    """Return the digest of a file, or of all files of a Zarr store, without the mark in them."""
     digest = hashlib.blake2b(digest_size=16)
     if path.is_dir():
         for name in file_names(path):
@@ -127,8 +132,8 @@ def _digest(path: Path) -> str:
 def check_replaceable(path: Path, product: Product | None = None, replace: bool = False) -> None:
     """Raise StoreError if something at `path` must not be replaced.
 
-    An empty folder may be replaced, and an unchanged file or store whose mark is `product`; with `replace`
-    any plain file. Links, pipes and devices never are.
+    An empty folder may be replaced, and so may an unchanged output with the mark `product`. With `replace`
+    any plain file may be replaced. Links, pipes and devices must not be replaced.
     """
     try:
         mode = os.lstat(path).st_mode
@@ -159,8 +164,9 @@ def check_replaceable(path: Path, product: Product | None = None, replace: bool 
 
 
 def refuse_input(path: Path, *inputs: object) -> None:
-    """Raise StoreError if `path` is one of `inputs`, or inside a Zarr store that is one of them.
-    Inputs are the files and folders that the same command reads; those that are not paths are ignored.
+    """Raise StoreError if `path` is one of `inputs`, or is inside one of them that is a Zarr store.
+
+    Inputs are what the same command reads; those that are not paths are ignored.
     """
     for one in inputs:
         if not isinstance(one, str | Path):
@@ -176,12 +182,12 @@ def refuse_input(path: Path, *inputs: object) -> None:
 def atomic(
     path: str | Path, product: Product | None = None, *, replace: bool = False, inputs: Iterable[object] = ()
 ) -> Iterator[Path]:
-    """Context manager: yield a path to write a file or folder at; it is renamed to `path` at the end.
+    """Context manager: yield a temporary path for an output, which is renamed to `path` at the end.
 
-    If the block raises, `path` stays as it was. The mark of `product` is added to the output, and `path` is
-    replaced only if it has the same mark. Without a product nothing is replaced; with `replace` any plain
-    file is. `inputs` are files that the same command reads. Raises StoreError if `path` must not be replaced,
-    is an input, or cannot be written.
+    If the block raises, `path` stays as it was. With a `product` the output gets its mark, and an output at
+    `path` is replaced only if it has the same mark and is unchanged. Without a product nothing is replaced.
+    With `replace` any plain file is. `inputs` are files that the same command reads. Raises StoreError if
+    `path` must not be replaced, is an input, or cannot be written.
     """
     path = Path(path)
     with writing(path):
@@ -206,7 +212,10 @@ def atomic(
 
 @contextmanager
 def _draft_folder(path: Path) -> Iterator[Path]:
-    """Yield a new, locked folder next to a path for its draft; first remove folders of killed writers."""
+    """Context manager: yield a new, locked folder next to `path` for an unfinished output.
+
+    It first removes such folders that killed processes have left. At the end the folder is removed.
+    """
     remove_leftovers(path)
     folder = path.with_name(f"{_DRAFT}{uuid.uuid4().hex}")  # named before a signal may interrupt
     try:
@@ -222,7 +231,7 @@ def _draft_folder(path: Path) -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder; try again while threads of Zarr still write into it."""
+    """Remove a folder and its content; try again for some seconds while threads of Zarr write into it."""
     for _ in range(_REMOVALS):
         shutil.rmtree(folder, ignore_errors=True)
         if not folder.exists():
@@ -231,14 +240,17 @@ def _remove(folder: Path) -> None:
 
 
 def _put_back(folder: Path, path: Path) -> None:
-    """Move the old output at `folder`/old back to `path` if nothing has taken its place."""
+    """Move `folder`/old, the output that was to be replaced, back to `path` if nothing is at `path`."""
     with suppress(OSError):
         if (folder / "old").is_dir() and not os.path.lexists(path):
             (folder / "old").rename(path)
 
 
 def remove_leftovers(path: Path) -> None:
-    """Remove the drafts that killed writers left next to a path, and restore a folder that they had moved."""
+    """Remove the unfinished outputs that killed processes have left next to `path`.
+
+    An earlier output that such a process had moved away is put back.
+    """
     with suppress(OSError):
         for entry in list(os.scandir(path.parent)):
             if not entry.name.startswith(_DRAFT):
@@ -253,8 +265,9 @@ def remove_leftovers(path: Path) -> None:
 
 
 def make_durable(paths: Iterable[Path]) -> None:
-    """Wait until files and folders are on the disk (fsync); missing or unreadable ones are skipped.
-    OSError if the disk fails.
+    """Wait until files and folders are on the disk (fsync).
+
+    Missing or unreadable ones are skipped. OSError if the disk fails.
     """
     for path in paths:
         try:
@@ -271,7 +284,10 @@ def make_durable(paths: Iterable[Path]) -> None:
 
 
 def write_text(path: str | Path, text: str, product: Product | None = None, *, replace: bool = False) -> None:
-    """Write a text file (UTF-8), completely or not at all; other arguments and errors as for `atomic`."""
+    """Write a text file (UTF-8), completely or not at all.
+
+    `product`, `replace` and errors are as for `atomic`.
+    """
     with atomic(path, product, replace=replace) as draft:
         draft.write_text(text, encoding="utf-8")
 
@@ -279,7 +295,10 @@ def write_text(path: str | Path, text: str, product: Product | None = None, *, r
 def check_writable(
     path: str | Path, product: Product | None = None, *, inputs: Iterable[object] = ()
 ) -> None:
-    """Raise StoreError if `atomic` could not write `path` with the same arguments; make its parent folder."""
+    """Raise StoreError if `atomic` could not write `path` with the same arguments.
+
+    The folder that is to contain `path` is made if it does not exist.
+    """
     path = Path(path)
     with writing(path):
         refuse_input(path, *inputs)
@@ -291,7 +310,7 @@ def check_writable(
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Context manager: turn an OSError while writing to a path into a StoreError with a remedy."""
+    """Context manager: replace an OSError in the block by a StoreError that names `path` and a remedy."""
     try:
         yield
     except OSError as error:

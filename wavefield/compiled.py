@@ -20,11 +20,11 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
-    """Decorator: compile a loop over plain arrays with numba, and keep the result on disk.
+    """Decorator: compile a loop over plain arrays with numba, and keep the compiled code on disk.
 
-    It is compiled when it is decorated for each numba type in `signature`, else at its first call. `options`
-    are those of `numba.njit`. It runs without the GIL. Processes may compile at the same time; each does so
-    for itself if the disk cannot be written.
+    Each numba type in `signature` is compiled when the decorator is applied; without a signature the loop is
+    compiled at its first call. `options` are those of `numba.njit`. The loop runs without the GIL. Several
+    processes may compile at the same time. If the disk cannot be written, each process compiles for itself.
     """
     njit: Any = numba.njit  # its type hints do not accept options as a mapping
 
@@ -48,9 +48,10 @@ def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
 
 
 class _CompiledFiles:
-    """Keeps each compiled form of a loop in a file of its own, in place of numba's numbered files and index.
-    The file is named by a hash of sources, types and processor, so processes need no lock. Damaged files are
-    not used.
+    """The files with the compiled code of one loop, one file for each combination of argument types.
+
+    It replaces numba's numbered files and their index. A file is named by a hash of sources, types and
+    processor, so processes need no lock. Damaged files are not used.
     """
 
     def __init__(self, folder: Path, base: str, loop: Callable[..., object]) -> None:
@@ -58,9 +59,9 @@ class _CompiledFiles:
         self._sources = _digest_of_sources(Path(loop.__code__.co_filename).parent)
 
     def save(self, key: object, data: object) -> None:
-        """Write compiled code (`data`) to the file of numba's `key` (argument types and processor).
+        """Write compiled code (`data`) to the file for `key`, numba's key of argument types and processor.
 
-        If the disk cannot be written, do nothing.
+        Files compiled from earlier sources are removed. If the disk cannot be written, do nothing.
         """
         content = serialize.dumps((self._identity(key), data))
         path = self._path(key)
@@ -77,7 +78,10 @@ class _CompiledFiles:
                     old.unlink()
 
     def load(self, key: object) -> Any:
-        """Return the compiled code of numba's `key`; None if its file is absent or damaged."""
+        """Return the compiled code for `key`, numba's key of argument types and processor.
+
+        None if its file is absent or damaged.
+        """
         try:
             stored = self._path(key).read_bytes()
         except OSError:
@@ -103,7 +107,10 @@ class _CompiledFiles:
 
 @functools.cache
 def _digest_of_sources(folder: Path) -> str:
-    """Return the digest of all sources with compiled loops in a folder, as loops contain those they call."""
+    """Return a digest of all sources in a folder that contain compiled loops.
+
+    A change of one source changes it for all, because compiled loops contain the loops they call.
+    """
     digest = hashlib.sha256()
     for path in sorted(folder.glob("*.py")):
         source = path.read_bytes()
@@ -113,7 +120,7 @@ def _digest_of_sources(folder: Path) -> str:
 
 
 def clear_compiled() -> int:
-    """Remove the compiled code that wavefield has kept on this machine; return the number of files."""
+    """Remove the compiled loops that wavefield keeps on this machine; return the number of files removed."""
     locators: list[Any] = [caching.InTreeCacheLocator, caching.UserWideCacheLocator]
     config: Any = numba.config
     if config.CACHE_DIR:

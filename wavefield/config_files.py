@@ -46,7 +46,7 @@ MAX_NAME_BYTES = 255  # of a file or folder, on Linux, macOS and Windows
 
 
 def safe_name(name: str) -> str:
-    """Return `name`; ValueError if it cannot be the name of a file on Linux, macOS and Windows."""
+    """Return `name` unchanged; ValueError unless it can be a file name on Linux, macOS and Windows."""
     odd = _NOT_IN_NAMES.search(name) or _RESERVED_NAMES.fullmatch(name)
     if odd or not name.strip() or name != name.strip() or name.strip(".") == "" or len(name) > _MAX_NAME:
         raise ValueError(f"{name[:40]!r} cannot be part of a file's name; use letters, digits, - and _")
@@ -54,7 +54,11 @@ def safe_name(name: str) -> str:
 
 
 def portable_path(path: str) -> str:
-    """Return `path`; ValueError if it has \\ between folders (except on Windows) or a name over 255 bytes."""
+    """Return `path` unchanged; ValueError if a name in it is over 255 bytes, or if \\ separates folders.
+
+    A backslash is allowed on Windows, and in the path of a file that exists. An address (with ://) is not
+    checked.
+    """
     if "://" in path:  # an address, which may contain a password
         return path
     if any(len(part.encode()) > MAX_NAME_BYTES for part in path.split("/")):
@@ -75,8 +79,10 @@ class ConfigSection(BaseModel):
 
 
 def load(kind: type[T], path: Path, data: Mapping[str, object] | None = None) -> T:
-    """Return the YAML file `path` as a checked section of type `kind`; ExperimentError with line and remedy.
-    `data` is the content of the file if the caller has read it.
+    """Return a YAML file as a section (pydantic model or dataclass) of type `kind`, with checked values.
+
+    `data` is the content of the file if the caller has read it already. ExperimentError if the content is
+    wrong; the message names the line and the remedy.
     """
     return make(kind, read_yaml(path) if data is None else data, path=path)
 
@@ -90,10 +96,11 @@ def make(
     name: str = "",
     error: type[WavefieldError] = ExperimentError,
 ) -> T:
-    """Return plain data as a checked section of type `kind`; raise `error` with up to four problems.
+    """Return plain data as a section (pydantic model or dataclass) of type `kind`, with checked values.
 
-    For the messages: `path` is the file that the data come from, `location` the keys in it that lead to the
-    data, `name` what to call them without a file.
+    Raises `error`, with up to four problems, if the data are wrong. The other arguments serve its message:
+    `path` is the file that the data come from, `location` the keys that lead to the data in this file, `name`
+    the name of the data without a file.
     """
     try:
         made = TypeAdapter(kind).validate_python(dict(data))
@@ -119,7 +126,10 @@ def make(
 
 
 def _joined(messages: Sequence[tuple[str, str]]) -> str:
-    """Join problems (place, words) into one message that repeats no place and no list of known keys."""
+    """Return one message from problems, pairs (place, words), of which the first four are listed.
+
+    Each place is named once, and so is each list of known keys.
+    """
     by_place: dict[str, list[str]] = {}
     listed: set[str] = set()
     for where, words in messages[:_MAX_MESSAGES]:
@@ -135,7 +145,11 @@ def _joined(messages: Sequence[tuple[str, str]]) -> str:
 def _booleans_as_numbers(
     data: object, made: object, place: tuple[Key, ...] = ()
 ) -> Iterator[tuple[Key, ...]]:
-    """Yield the keys that lead to each true or false in `data` that is a number in the section `made`."""
+    """Yield the place, as a tuple of keys, of each true or false that became a number.
+
+    `data` are the values as read from the file, `made` is the section that was made from them, and `place` is
+    where both are in the file.
+    """
     if isinstance(data, bool):
         if isinstance(made, int | float) and not isinstance(made, bool):
             yield place
@@ -189,7 +203,9 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the content of a YAML file that holds a mapping.
-    ExperimentError if the file cannot be read, is not a mapping, or has a key twice or a broken path.
+
+    ExperimentError if the file cannot be read or is not a mapping, if a key is repeated, or if a backslash in
+    double quotes has broken a path.
     """
     node = _compose(path)
     if not isinstance(node, yaml.MappingNode):
@@ -261,7 +277,7 @@ def _not_yaml(path: Path, error: Exception) -> ExperimentError:
 
 
 def _parts(node: yaml.Node) -> list[yaml.Node]:
-    """Return the keys and values of a mapping, or the items of a list, as nodes."""
+    """Return the keys and values of a mapping, or the items of a list, as YAML nodes; else an empty list."""
     if isinstance(node, yaml.MappingNode):
         return [part for pair in node.value for part in pair]
     return list(node.value) if isinstance(node, yaml.SequenceNode) else []
@@ -275,7 +291,7 @@ def _below(node: yaml.Node) -> Iterator[yaml.Node]:
 
 
 def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
-    """Yield each repeated key of a mapping as a pair: the node where it is first, and the repetition."""
+    """Yield each key that is repeated in a mapping, at any depth, as the nodes of both its places."""
     for mapping in _below(node):
         seen: dict[str, yaml.Node] = {}
         for key, _ in mapping.value if isinstance(mapping, yaml.MappingNode) else ():
@@ -295,7 +311,11 @@ def file_and_line(path: Path, location: Sequence[Key]) -> str:
 
 
 def _line(node: yaml.Node | None, location: Sequence[Key]) -> int | None:
-    """Return the line (from 1) of the deepest part of a location that the file has; None if it has none."""
+    """Return the line number, from 1, of a value in a YAML file; None if none of its keys is found.
+
+    `node` is the file's content and `location` the keys and indices that lead to the value. If the last of
+    them are not in the file, it is the line of the deepest one that is.
+    """
     line = None
     for step in location:
         found = None
@@ -323,7 +343,10 @@ def _sentence(
     location: Sequence[Key],
     name: str,
 ) -> tuple[str, str]:
-    """Return place and words of a problem that pydantic found; arguments as for `make`."""
+    """Return where a problem is (file and line) and its description, from an error of pydantic.
+
+    `node` is the content of the file as YAML nodes. The other arguments are as for `make`.
+    """
     inner = list(problem["loc"])
     line = _line(node, [*location, *inner])
     where = (f"{path}, line {line}" if line else str(path)) if path else name
@@ -337,7 +360,11 @@ def _sentence(
 
 
 def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool:
-    """Whether a problem only tells that the value is not of one of several allowed forms; `wrong` are all."""
+    """Whether an error of pydantic only says that a value lacks one of several allowed forms.
+
+    Such an error is left out, because another one says what is wrong in the form that the user chose. `wrong`
+    are all errors.
+    """
     place = problem["loc"][:-1]
     others = [other for other in wrong if other is not problem and other["loc"][: len(place)] == place]
     if problem["type"] == "literal_error" and isinstance(problem["input"], Mapping):
@@ -347,7 +374,7 @@ def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool
 
 
 def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
-    """Return the words of a problem; `kinds` are the sections that have the key."""
+    """Return the words for an error of pydantic; `kinds` are the sections that could have the key."""
     sort, message = problem["type"], str(problem["msg"])
     if sort in _UNKNOWN:
         known = list(dict.fromkeys(name for member in kinds for name in _fields(member)))
@@ -368,8 +395,10 @@ def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
 
 
 def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any], str | None]:
-    """Follow a problem's location through types; return its keys in the file, the sections that
-    could have the last key, and an example of a value (or None).
+    """Follow the location of an error of pydantic through the types of a section.
+
+    Returns the keys of the location that are in the file, the sections that could have the last key, and an
+    example of its value (or None). `kind` is the type of the outermost section.
     """
     names: list[Key] = []
     sections = annotations = _members(kind)
@@ -393,9 +422,9 @@ def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any]
 
 
 def _is_branch(step: Key, annotations: Sequence[object]) -> bool:
-    """Whether an item of a pydantic error's location is no key of the file, but names a type in a union.
+    """Whether `step`, a part of the location of a pydantic error, names a type in a union and is no key.
 
-    Examples are "str" and "GridSection". `annotations` are the types that are possible there.
+    Examples are "str" and "GridSection". `annotations` are the types that are possible at this place.
     """
     if not isinstance(step, str):
         return False

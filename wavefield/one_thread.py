@@ -16,7 +16,9 @@ _state: dict[str, Any] = {"depth": 0, "limits": None}
 @contextmanager
 def one_thread() -> Generator[None]:
     """Context manager or decorator: linear algebra (BLAS) uses one thread in the whole process.
-    The first thread that enters sets the limit, and the last that leaves restores the old one.
+
+    If several threads are in such blocks, the first to enter sets this limit, and the last to leave restores
+    the earlier limit.
     """
     with _lock:
         if not _state["depth"]:
@@ -35,7 +37,10 @@ def one_thread() -> Generator[None]:
 
 
 def _take_control() -> None:
-    """Let this thread set limits: threadpoolctl 3.8 and later obeys only the first thread that set one."""
+    """Let the calling thread set the number of BLAS threads.
+
+    From version 3.8 on, threadpoolctl obeys only the first thread that has set a number.
+    """
     openblas: Any = getattr(threadpoolctl, "OpenBLASController", None)
     if clear := getattr(openblas, "clear_controlling_thread", None):
         clear(force=True)

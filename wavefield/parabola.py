@@ -9,9 +9,10 @@ Samples = float | NDArray[Any]
 
 
 def parabola_vertex(before: Samples, middle: Samples, after: Samples) -> NDArray[Any]:
-    """Return where the parabola through three equidistant samples has its maximum; 0 if it has none.
+    """Return the position of the maximum of the parabola through three equidistant samples.
 
-    The result is the distance from the middle sample towards `after`, in sample intervals, elementwise.
+    The position is the distance from the middle sample towards `after`, in sample intervals, elementwise. It
+    is 0 if the parabola has no maximum.
 
     Examples
     --------

@@ -9,7 +9,7 @@ PER_MEDIAN = 1.4826  # standard deviation of a normal distribution over its medi
 
 
 def robust_std(values: NDArray[np.floating]) -> float:
-    """Return 1.4826 times the median absolute value: a standard deviation about 0 that ignores blunders.
+    """Return a standard deviation about 0 that ignores outliers: 1.4826 times the median absolute value.
 
     It is 0 if `values` is empty.
 

@@ -2,7 +2,7 @@
 
 
 def evenly_spaced(count: int, number: int) -> list[int]:
-    """Return at most ``number`` of the indices 0 to ``count`` - 1: the middles of equal parts of a record.
+    """Return at most `number` of the indices 0 to `count` - 1: the middles of `number` equal parts.
 
     Examples
     --------
@@ -13,7 +13,7 @@ def evenly_spaced(count: int, number: int) -> list[int]:
 
 
 def from_first_to_last(count: int, number: int) -> list[int]:
-    """Return at most ``number`` of the indices 0 to ``count`` - 1, evenly spaced, from first to last.
+    """Return at most `number` of the indices 0 to `count` - 1, evenly spaced from the first to the last.
 
     Examples
     --------

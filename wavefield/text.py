@@ -19,7 +19,9 @@ def spell_time(seconds: float) -> str:
 
 
 def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
-    """Return sorted numbers as text, runs of them as ranges; at most `most` ranges are listed.
+    """Return sorted integers as text, with consecutive integers as a range.
+
+    At most `most` ranges are listed; the text tells how many more there are.
 
     Examples
     --------
@@ -53,7 +55,7 @@ def spell_uncertain(value: float, std: float, unit: str) -> str:
 
 
 def short_path(path: Path) -> Path:
-    """Return a path relative to the current folder if the file is in it, else unchanged."""
+    """Return a path relative to the current folder if it is inside this folder, else unchanged."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
@@ -63,7 +65,9 @@ def one_line(error: object) -> str:
 
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table with a title as HTML, for notebooks; cells are escaped, an empty `head` is left out.
+    """Return a table with a title as HTML text, for notebooks.
+
+    Special characters in cells are escaped. An empty `head` gives a table without a header row.
 
     Examples
     --------

@@ -18,7 +18,10 @@ WATER = ("water_depth", "surface_tension_over_density")  # attributes of a cube 
 
 
 def tension_over_density(surface_tension: float | None = None, density: float | None = None) -> float:
-    """Return surface tension (N/m) over density (kg/m3), m3 s-2; clean water at 20 C replaces None."""
+    """Return surface tension (N/m) over density (kg/m3), in m3 s-2.
+
+    An argument that is None is that of clean water at 20 C.
+    """
     tension = SURFACE_TENSION if surface_tension is None else surface_tension
     return float(tension) / float(density or DENSITY)
 
@@ -42,7 +45,9 @@ def water_of(attributes: Mapping[str, str | float], depth: float | None = None) 
 
 
 def stated_water(attributes: Mapping[str, Any]) -> dict[str, float]:
-    """Return the attributes named in `WATER` as numbers, by name; deep water and absent ones are left out.
+    """Return the water's attributes of a cube (the names in `WATER`) as numbers, by name.
+
+    Attributes that are absent or infinite, and the depth "deep", are left out.
 
     Examples
     --------
@@ -54,7 +59,7 @@ def stated_water(attributes: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _depth(depth: float) -> float:
-    """Return the depth; CubeError if it is not positive."""
+    """Return the depth of the water, m, unchanged; CubeError if it is not positive."""
     if not depth > 0:
         raise CubeError(f"the depth of the water is {depth} m: give a positive number, or inf")
     return depth

@@ -59,7 +59,7 @@ def count_workers(workflow: Workflow) -> int:
 
 
 def threads_here(workflow: Workflow) -> int:
-    """Return the number of threads, at most 4, that the run's own process may use while workers are idle."""
+    """Return how many threads the run's own process may use while no workers run; at most 4."""
     return min(count_workers(workflow), _cores(), _MOST_THREADS)
 
 
@@ -72,12 +72,12 @@ def _cores() -> int:
 def open_cluster(
     workflow: Workflow, logs: Path | None = None, imports: Sequence[str] = ()
 ) -> Iterator[MapUnordered]:
-    """Context manager: start the workers of a workflow; they end with the block.
+    """Context manager: start the workers of a workflow, and end them at the end of the block.
 
-    Yields a function of (work, items), which yields each item with its result or exception as they are done.
-    `logs` is the folder for the output of Slurm jobs. `imports` are modules that
-    workers of this machine import at their start. Raises ExperimentError or StoreError, with the remedy, if
-    workers or the scheduler do not start or are lost.
+    It yields a function of (work, items). This function yields each item with its result, or with the
+    exception that the work raised, in the order of completion. `logs` is the folder for the output of Slurm
+    jobs. `imports` are modules that workers on this machine import at their start. Raises ExperimentError or
+    StoreError if workers or the scheduler do not start or are lost.
     """
     if workflow.cluster == "none" or (workflow.cluster == "local" and count_workers(workflow) == 1):
         yield _map_here
@@ -102,8 +102,9 @@ def open_cluster(
 def _connect(
     workflow: Workflow, logs: Path, imports: Sequence[str], stack: ExitStack
 ) -> tuple["Client", Watch]:
-    """Return a client of the workflow's scheduler, and a watch over its workers; `stack` closes them.
-    `logs` and `imports` are those of `open_cluster`.
+    """Return a client of the workflow's scheduler, and a function that checks its workers.
+
+    Both, and the workers, are closed with `stack`. `logs` and `imports` are as for `open_cluster`.
     """
     from distributed import Client
 
@@ -133,7 +134,10 @@ def _connect(
 
 
 def _local_cluster(workflow: Workflow, imports: Sequence[str]) -> Any:
-    """Return a Dask cluster on this machine that has no workers yet; `imports` are modules they import."""
+    """Return a Dask cluster on this machine that has no workers yet.
+
+    Its workers will import the modules `imports` at their start.
+    """
     from distributed import LocalCluster
     from distributed.utils import get_mp_context
 
@@ -164,7 +168,7 @@ def _end_workers(cluster: Any) -> None:
 
 
 class _LocalWorkers:
-    """Raises StoreError after 300 s without workers: on a busy machine Dask may give up their start."""
+    """A check, called during a run, that raises StoreError after 300 s without workers on this machine."""
 
     def __init__(self) -> None:
         self._seen = time.monotonic()
@@ -180,7 +184,7 @@ class _LocalWorkers:
 
 
 class _WithoutWorkers:
-    """Warns, once, if the scheduler of a workflow with `address` has no workers."""
+    """A check, called during a run, that warns once if the scheduler at `address` has no workers."""
 
     reported = False
 
@@ -197,7 +201,7 @@ class _WithoutWorkers:
 
 
 def _map_here(work: Work, items: Sequence[Any]) -> Results:
-    """Yield each item with its result or exception; the work is done in this process, in order."""
+    """Yield each item with its result or the exception raised; the work is done in this process, in order."""
     with one_opencv_thread():
         for item in items:
             try:
@@ -208,10 +212,10 @@ def _map_here(work: Work, items: Sequence[Any]) -> Results:
 
 
 def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Sequence[Any]) -> Results:
-    """Yield each item with its result or exception, as Dask's workers finish.
+    """Yield each item with its result or the exception raised, in the order in which workers finish.
 
-    At most two items for each of `workers` are submitted at a time; `watch(client)` is called in between.
-    Raises StoreError if the scheduler is lost.
+    At most two items for each of `workers` are submitted at a time. `watch(client)` is called every few
+    seconds and may raise an error. StoreError if the scheduler is lost.
     """
     from distributed import CancelledError, wait
 
@@ -244,7 +248,10 @@ def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Seq
 
 
 def _result(task: Any) -> Any:
-    """Return the result of a task that has ended, or its exception in plain words."""
+    """Return the result of a Dask task that has ended, or the exception that it raised.
+
+    Exceptions of Dask itself are replaced by errors that tell what to do.
+    """
     from distributed import CancelledError
 
     try:
@@ -256,8 +263,10 @@ def _result(task: Any) -> Any:
 
 
 def _do(packed: bytes, versions: str, item: Any) -> Any:
-    """Return the result of work, pickled in `packed`, for an item; called on a worker.
-    ExperimentError if the process that sent it runs other `versions` than this one.
+    """Return the result of the work for an item; Dask calls this function on a worker.
+
+    `packed` is the pickled work. ExperimentError if the run has other `versions` of Python or wavefield than
+    this worker.
     """
     if own_versions() != versions:
         raise ExperimentError(
@@ -273,7 +282,7 @@ def _do(packed: bytes, versions: str, item: Any) -> Any:
 
 @functools.lru_cache(maxsize=1)
 def _unpacked(packed: bytes) -> Work:
-    """Return the work from its pickle; the last one is kept."""
+    """Return the work (a function) from its pickle; the last one is kept in memory."""
     work: Work = pickle.loads(packed)
     return work
 
@@ -284,8 +293,9 @@ def own_versions() -> str:
 
 
 def _as_sentence(error: BaseException) -> BaseException:
-    """Replace Dask's error for killed workers or an unloadable wavefield by one that tells what to do.
-    Any other error is returned unchanged.
+    """Return `error`, or an error that tells what to do if Dask's workers ended or lack wavefield.
+
+    StoreError replaces Dask's KilledWorker, ExperimentError an error on loading wavefield.
     """
     from distributed import KilledWorker
 

@@ -73,7 +73,10 @@ def one_opencv_thread() -> Iterator[None]:
 
 
 def keep_memory() -> None:
-    """Let the C library (glibc) reuse the memory of freed arrays; no effect elsewhere, cannot be undone."""
+    """Make the C library (glibc) keep the memory of freed arrays for this process, until its end.
+
+    With another C library nothing is done.
+    """
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):  # another C library, another system
@@ -84,7 +87,10 @@ def keep_memory() -> None:
 
 @functools.cache
 def set_up_worker() -> None:
-    """Configure this worker process: one OpenCV thread, memory, and locks; a second call does nothing."""
+    """Configure this process as a worker: one OpenCV thread, memory of freed arrays kept, no named locks.
+
+    A second call does nothing.
+    """
     import cv2
 
     cv2.setNumThreads(1)
@@ -125,7 +131,10 @@ def memory_error(error: Exception) -> StoreError | None:
 
 
 class Stopped(KeyboardInterrupt):
-    """Raised if a signal other than Ctrl-C, or the time limit, stops a run; its text names the cause."""
+    """Raised in a run that is stopped by its time limit or by a signal other than Ctrl-C.
+
+    The text of the exception names the cause.
+    """
 
 
 def stopped_by(stop: KeyboardInterrupt) -> str:
@@ -144,9 +153,10 @@ def _in_main_thread() -> bool:
 
 @contextmanager
 def stop_signals(time_limit: float | None = None) -> Iterator[None]:
-    """Context manager: SIGTERM, SIGHUP, SIGUSR1 (Slurm's warning) and the time limit (s) raise `Stopped`.
+    """Context manager: raise `Stopped` on SIGTERM, SIGHUP, SIGUSR1 or after the time limit (s).
 
-    Signals that the process ignores stay ignored. Outside the main thread, this has no effect.
+    Slurm sends SIGUSR1 before the end of a job. Signals that the process ignores stay ignored. Outside the
+    main thread the context manager has no effect.
     """
     if not _in_main_thread():
         yield
@@ -173,9 +183,10 @@ def stop_signals(time_limit: float | None = None) -> Iterator[None]:
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Context manager: delay signals that stop a run until the block ends; a second signal acts at once.
+    """Context manager: delay the effect of signals that stop a run until the block ends.
 
-    Without this, a start of distributed that is interrupted prints tracebacks, and an import may lose Ctrl-C.
+    A second signal takes effect at once. Without the delay, interrupting the start of Dask prints tracebacks,
+    and Ctrl-C during an import may be lost.
     """
     if not _in_main_thread():
         yield
@@ -207,9 +218,9 @@ def deferred_signals() -> Iterator[None]:
 
 @contextmanager
 def children_ignore_ctrl_c() -> Iterator[None]:
-    """Context manager: child processes start with SIGINT and SIGUSR1 blocked.
+    """Context manager: processes started in the block do not receive SIGINT (Ctrl-C) and SIGUSR1.
 
-    The run itself ends them. SIGUSR1 is Slurm's warning before the end of a job.
+    The run itself ends its processes. SIGUSR1 is Slurm's warning before the end of a job.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

@@ -26,8 +26,9 @@ _MAX_LINE = 300  # characters of a log line that are quoted in a message
 def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
     """Start a `dask_jobqueue.SLURMCluster`, which submits the jobs of a workflow to Slurm.
 
-    `logs` is the folder for their output. ``job_script()`` of the result shows the script. ExperimentError if
-    the workflow has unknown keywords, the folder cannot be written, or this is not the main thread.
+    `logs` is the folder for the output of the jobs; it is made. The method ``job_script()`` of the result
+    returns the job script. ExperimentError if the block ``slurm`` of the workflow has unknown keywords, if
+    the folder cannot be written, or if this is not the main thread.
     """
     _import_jobqueue()
     from dask_jobqueue import SLURMCluster
@@ -92,7 +93,10 @@ def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
 
 
 def _import_jobqueue() -> None:
-    """Import dask-jobqueue and restore our handler of Ctrl-C; ExperimentError outside the main thread."""
+    """Import dask-jobqueue, which replaces the handler of Ctrl-C, and restore the handler.
+
+    ExperimentError outside the main thread.
+    """
     try:
         interrupt = signal.getsignal(signal.SIGINT)
         import dask_jobqueue  # noqa: F401
@@ -104,7 +108,10 @@ def _import_jobqueue() -> None:
 
 
 def _keywords(workflow: Workflow, logs: Path) -> dict[str, Any]:
-    """Return the keywords for SLURMCluster: our own, replaced or extended by those of the workflow."""
+    """Return the keywords for SLURMCluster: wavefield's own, replaced or extended by the user's.
+
+    The user gives them in the block ``slurm`` of the workflow. `logs` is the folder for the output of jobs.
+    """
     given = dict(workflow.slurm)
     cores = int(given.get("cores", 1))
     environment = WORKER_ENVIRONMENT | {
@@ -142,7 +149,10 @@ def _processes(workflow: Workflow) -> int:
 
 
 def count_jobs(workflow: Workflow) -> tuple[int, int]:
-    """Return the least and greatest number of Slurm jobs for the workers of a workflow; 1, 1 for ``auto``."""
+    """Return the least and the greatest number of Slurm jobs that the workers of a workflow need.
+
+    Both are 1 if the workflow says ``workers: auto``.
+    """
     workers, processes = workflow.workers, _processes(workflow)
     if workers == "auto":
         return 1, 1
@@ -151,8 +161,10 @@ def count_jobs(workflow: Workflow) -> tuple[int, int]:
 
 
 class QueueWatch:
-    """Warns why jobs wait in the queue; raises ExperimentError if Slurm rejects the jobs or all have ended.
-    dask-jobqueue does neither: a run with a mistyped partition would wait for ever.
+    """A check, called during a run, that warns why jobs wait in Slurm's queue.
+
+    It raises ExperimentError if Slurm rejects the jobs, or if all jobs have ended before a worker started.
+    Without it a run with a mistyped partition would wait for ever.
     """
 
     def __init__(self, cluster: Any) -> None:
@@ -162,7 +174,7 @@ class QueueWatch:
         self._gone = 0  # number of successive checks without a queued or running job
 
     def __call__(self, client: Any) -> None:
-        """Check the jobs while there are no workers, at most every 10 s; `client` is that of the cluster."""
+        """Check the jobs if there are no workers, at most every 10 s; `client` is Dask's client."""
         now = time.monotonic()
         if now - self._checked_at < _POLL_SECONDS:
             return
@@ -206,8 +218,9 @@ def _refusal(text: str) -> str:
 
 
 def queue_of(user: str) -> dict[str, tuple[str, str]] | None:
-    """Return (state, reason) of each job of a user in Slurm's queue, by job number; None if squeue fails.
-    Jobs that are completing are left out.
+    """Return (state, reason) of each job of a user in Slurm's queue, by job number.
+
+    Jobs in the state COMPLETING are left out. None if the command ``squeue`` fails.
     """
     command = ["squeue", "--noheader", f"--user={user}", "--format=%A|%T|%r"]
     try:
@@ -219,8 +232,10 @@ def queue_of(user: str) -> dict[str, tuple[str, str]] | None:
 
 
 def why_ended(numbers: Sequence[str], logs: Path) -> str:
-    """Return a message on jobs that ended before their workers started, with the last line of a log.
-    `numbers` are the job numbers, `logs` is the folder of their output.
+    """Return a message on jobs that ended before their workers started.
+
+    It quotes the last line of the first log that has one. `numbers` are the job numbers, `logs` is the folder
+    of the logs.
     """
     head = f"Slurm job {numbers[-1]} ended before its worker started; "
     for number in numbers:

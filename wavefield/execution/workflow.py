@@ -25,7 +25,7 @@ class Between(ConfigSection):
 
 
 class Workflow(ConfigSection):
-    """A workflow file: where a run is done, with which resources, and settings that replace the experiment's.
+    """A workflow file: where and with which resources to run, and settings that replace the experiment's.
 
     Examples
     --------
@@ -144,7 +144,9 @@ _UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 
 def parse_duration(text: str) -> float:
-    """Return a duration in seconds, from text as people or Slurm write it; ValueError if it is no duration.
+    """Return a duration in seconds from text, written as "3h 50m", "03:50:00" or a number of seconds.
+
+    "mm:ss" is allowed too. ValueError if the text is no duration.
 
     Examples
     --------

@@ -25,10 +25,10 @@ CONVERTED = (np.uint8, np.uint16, np.float32)  # types of colour images that Ope
 
 
 def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
-    """Return one image as grey levels of the file's type, (row, column): TIFF, PNG, BMP, JPEG or IM7 (DaVis).
+    """Return an image as grey levels in the file's type, (row, column), from TIFF, PNG, BMP, JPEG or IM7.
 
-    `page` is the index, from 0, of an image in a TIFF file; it is needed if the file has several.
-    FrameError if the file is missing, damaged or of another format.
+    `page` is the index, from 0, of an image in a file that has several. FrameError if the file is missing,
+    damaged or of another format.
     """
     path = Path(path)
     refuse_pipe(path, FrameError)

@@ -63,7 +63,7 @@ class StoreLayout:
     first_frame: int  # Number of the first frame
 
     def chunks(self) -> list[tuple[int, int]]:
-        """Return the range of steps (start, stop) of each chunk, in order."""
+        """Return the range of steps (start, stop) of each chunk, in order; `stop` is excluded."""
         return [(i, min(i + self.chunk_steps, self.steps)) for i in range(0, self.steps, self.chunk_steps)]
 
 
@@ -105,7 +105,10 @@ def _lay_out(
     layout: StoreLayout,
     attributes: Mapping[str, Any],
 ) -> zarr.Group:
-    """Make the group of a cube and its arrays, without values; arguments as for `create_store`."""
+    """Make the group of a cube and its arrays, of which only the axes have values; return the group.
+
+    The arguments are as for `create_store`.
+    """
     n, steps = layout.steps, layout.chunk_steps
     group = zarr.open_group(
         path,
@@ -190,7 +193,7 @@ def in_16_bits(values: np.ndarray, scale: float) -> np.ndarray:
 
 
 def gather_metadata(path: Path) -> None:
-    """Copy the metadata of all arrays into the store's zarr.json, so that the store opens quickly."""
+    """Copy the metadata of all arrays into the ``zarr.json`` of the store at `path`, to open it faster."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(path)
@@ -214,5 +217,8 @@ def named_damage(array: Path) -> Iterator[None]:
 
 
 def chunk_path(path: Path, name: str, number: int) -> Path:
-    """Return the file of one chunk of an array in the store at `path`; chunks are numbered from 0."""
+    """Return the file of one chunk of the array `name` in the store at `path`.
+
+    `number` is the index of the chunk of steps, from 0.
+    """
     return path / name / _CHUNK_FILES.get(name, "c/{}/0/0").format(number)

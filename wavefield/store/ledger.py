@@ -84,13 +84,13 @@ class Status:
 
     @property
     def exit_status(self) -> int:
-        """Exit status of a command: 1 if all steps failed, 3 with a remark or a lost verdict, else 0."""
+        """Exit status of a command: 1 if all steps failed, 3 for a remark or a missing verdict, else 0."""
         if self.failed and self.failed == self.steps:
             return 1
         return self.verdict.exit_status if self.verdict else 3 if self.lacks_verdict else 0
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all of it as plain data, as ``wavefield status --json`` prints it."""
+        """Return all fields and properties as plain data, as ``wavefield status --json`` prints them."""
         out = asdict(self) | {"store": str(self.store), "complete": self.complete, "left": self.left}
         out["bad_frames"] = [
             {"camera": b.camera, "fault": b.fault.name.lower(), "numbers": list(b.numbers)}
@@ -188,7 +188,10 @@ def status(store: str | Path) -> Status:
 
 
 def unfinished_note(store: str | Path) -> str:
-    """Return a warning if steps of a cube are not measured or have failed; empty if all are measured."""
+    """Return a warning, as text, if steps of a cube are not measured yet or have failed.
+
+    The text is empty if all steps are measured. StoreError if `store` is not a cube.
+    """
     found = status(store)
     if found.complete and not found.failed:
         return ""

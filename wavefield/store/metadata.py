@@ -16,7 +16,8 @@ FINISHED = "finished"  # attribute: true once the run has ended
 
 def read_metadata(path: Path) -> dict[str, Any]:
     """Return the content of a cube's ``zarr.json``.
-    StoreError if it is missing, damaged, changed since it was written, or not that of a cube.
+
+    StoreError if the file is missing, damaged, changed since wavefield wrote it, or not that of a cube.
     """
     file = path / "zarr.json"
     if not path.exists():
@@ -43,7 +44,10 @@ def read_metadata(path: Path) -> dict[str, Any]:
 
 
 def update_metadata(path: Path, attributes: Mapping[str, object]) -> None:
-    """Set attributes of the cube at `path`; None removes one. StoreError if it is damaged or read-only."""
+    """Set attributes of the cube at `path`; an attribute with the value None is removed.
+
+    StoreError if the cube's metadata are damaged or cannot be written.
+    """
     data = read_metadata(path)
     merged = {**data["attributes"], **attributes}
     data["attributes"] = {name: value for name, value in merged.items() if value is not None}
@@ -52,18 +56,18 @@ def update_metadata(path: Path, attributes: Mapping[str, object]) -> None:
 
 
 def seal_metadata(path: Path) -> None:
-    """Add the checksum to ``zarr.json`` of a new cube, as its last change before it is used."""
+    """Add the checksum to the ``zarr.json`` of a new cube; later changes need `update_metadata`."""
     _write_sealed(path, json.loads((path / "zarr.json").read_bytes()))
 
 
 def _write_sealed(path: Path, data: dict[str, Any]) -> None:
-    """Write the content of ``zarr.json`` with its checksum, completely or not at all."""
+    """Write `data` as ``zarr.json`` with its checksum, completely or not at all; `data` is changed."""
     data["attributes"][CHECKSUM] = _checksum(data)
     with atomic(path / "zarr.json", replace=True) as draft:
         draft.write_text(json.dumps(data, indent=1), encoding="utf-8")
 
 
 def _checksum(data: Mapping[str, Any]) -> int:
-    """Return the CRC-32 of the content of ``zarr.json`` without the checksum in it."""
+    """Return the CRC-32 of the content of ``zarr.json``; a checksum in it is left out."""
     attributes = {name: value for name, value in data["attributes"].items() if name != CHECKSUM}
     return zlib.crc32(json.dumps({**data, "attributes": attributes}, sort_keys=True).encode())

@@ -32,7 +32,7 @@ _VALUES = 32_000_000  # values of one variable (64 MB); longer records are thinn
 
 @dataclass(frozen=True)
 class Thinning:
-    """The nodes and variables of a cube that its preview contains."""
+    """Which nodes and variables of a cube its preview (a thinned copy for plots) contains."""
 
     every: int  # Distance between its nodes, in nodes of the cube, along x and y; 1 keeps all
     names: tuple[str, ...]  # Variables, in order
@@ -40,7 +40,10 @@ class Thinning:
 
 
 def thinning(group: CubeGroup) -> Thinning:
-    """Return how the preview of a cube is thinned: at most some 2000 nodes, fewer for very long records."""
+    """Return which nodes and variables the preview of an open cube contains.
+
+    The preview has some 2000 nodes at most, and fewer if the record has over 16 000 steps.
+    """
     names = tuple(name for name in CUBE_FIELDS if name in group)
     steps, ny, nx = group[names[0]].shape
     most = min(_NODES, max(1, _VALUES // max(steps, 1)))
@@ -49,7 +52,10 @@ def thinning(group: CubeGroup) -> Thinning:
 
 
 def create_preview(group: CubeGroup) -> None:
-    """Make an empty preview in a cube, in place of an old one; StoreError if it cannot be written."""
+    """Make an empty preview (a thinned copy for plots) in an open cube, in place of an old preview.
+
+    StoreError if it cannot be written.
+    """
     layout, thin, path = read_layout(group), thinning(group), group.store_path.store.root / _GROUP
     shape = _shape(group, thin)
     with writing(path):
@@ -78,7 +84,10 @@ def _attributes(thin: Thinning) -> dict[str, Any]:
 
 
 def _open(group: CubeGroup, thin: Thinning, mode: Literal["r", "r+"]) -> Any:
-    """Return the array `fields` of a cube's preview; None if it is absent, damaged or of another shape."""
+    """Return the array ``fields`` of a cube's preview, (variable, y, x, time).
+
+    None if the preview is absent or damaged, or if its shape, variables or spacing are not those of `thin`.
+    """
     with suppress(Exception):  # absent or damaged: the cube has it all
         root = group.store_path.store.root
         preview: Any = zarr.open_group(root / _GROUP, mode=mode, use_consolidated=False)
@@ -94,14 +103,20 @@ def _chunk(group: CubeGroup, start: int) -> Path:
 
 
 def _thinned(fields: Mapping[str, NDArray[Any]], every: int, scales: Iterable[float]) -> NDArray[np.int16]:
-    """Return fields (n, ny, nx) at each `every`-th node as int16, value / scale, (variable, y, x, n)."""
+    """Return fields (n, ny, nx) at every `every`-th node along x and y: int16, (variable, y, x, n).
+
+    The values are divided by `scales`, one for each field. Missing values are `MISSING`.
+    """
     nodes = [values[:, ::every, ::every].astype(np.float32) for values in fields.values()]
     out = [in_16_bits(values, scale) for values, scale in zip(nodes, scales)]
     return np.ascontiguousarray(np.moveaxis(np.array(out), 1, -1))
 
 
 def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
-    """Write fields (n, ny, nx) of the chunk that begins with step `start` into the cube's preview, if any."""
+    """Write the fields (n, ny, nx) of one chunk, by name, into the preview of an open cube.
+
+    The chunk begins with step `start`. If the cube has no preview, do nothing.
+    """
     thin = thinning(group)
     preview = _open(group, thin, "r+")
     if preview is not None:
@@ -112,8 +127,10 @@ def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any
 
 
 def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
-    """Return the steps of one chunk, start to stop, thinned: int16, (variable, y, x, n), value / scale.
-    They are read from the preview, or from the cube itself if the preview has no such chunk.
+    """Return the thinned fields of one chunk of steps: int16, (variable, y, x, n).
+
+    The chunk is steps `start` to `stop` - 1. A value is the stored integer times the scale in `thin`. The
+    fields are read from the preview, or from the cube itself if the preview has no such chunk.
     """
     preview = _open(group, thin, "r")
     with suppress(Exception):  # as above
@@ -124,8 +141,10 @@ def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDA
 
 
 def read_steps(group: CubeGroup, name: str, start: int, stop: int) -> NDArray[Any]:
-    """Return steps start to stop of a variable of a cube, (n, ny, nx); StoreError if they are damaged.
-    Packed values become float32, with NaN where nothing was measured; others are returned as stored.
+    """Return the steps `start` to `stop` - 1 of a variable of an open cube, (n, ny, nx).
+
+    Values packed in 16 bits become float32, with NaN where nothing was measured; others are returned as
+    stored. StoreError if they are damaged.
     """
     array = group[name]
     try:

@@ -18,8 +18,9 @@ from wavefield.text import one_line
 
 
 class CubeStore(LocalStore):
-    """The files of a cube for Zarr. Zarr takes a missing file for missing values; this store raises a
-    StoreError, unless the steps in the file are still to be measured.
+    """The files of a cube, as Zarr reads them; a file that was lost raises StoreError.
+
+    Zarr alone would return missing values. A file whose steps are still to be measured may be absent.
     """
 
     async def get(self, key: str, *arguments: Any, **keywords: Any) -> Any:
@@ -51,10 +52,11 @@ class CubeStore(LocalStore):
 
 
 def _is_expected(root: Path, name: str, place: str) -> bool:
-    """Whether the file `place` of an array, such as "3/0/0", must exist in the cube `root`.
+    """Whether the file `place` of the array `name`, such as "3/0/0", must exist in the cube `root`.
 
-    Files of arrays without chunks of steps always do, all files do after the end of the run, and those of a
-    chunk of steps (but for `frame_status`) do once the chunk was measured.
+    After the end of the run all files must exist. Before it, files of arrays that are not divided into chunks
+    of steps must exist. A file of a chunk of steps must exist once the chunk was measured, except in
+    ``frame_status``.
     """
     attributes = read_metadata(root)["attributes"]
     if name not in CHUNKED or attributes.get(FINISHED):
@@ -65,7 +67,7 @@ def _is_expected(root: Path, name: str, place: str) -> bool:
 
 
 def is_started(path: Path, number: int) -> bool:
-    """Whether `frame_status` has a result, of any kind, for steps of the chunk `number`."""
+    """Whether any step of the chunk `number` of the cube at `path` was tried, failed steps included."""
     # the last four bytes of its file are a checksum
     with suppress(OSError):
         return any(chunk_path(path, "frame_status", number).read_bytes()[:-4])
@@ -73,9 +75,9 @@ def is_started(path: Path, number: int) -> bool:
 
 
 def find_store(path: str | Path) -> Path:
-    """Return the path of a store: `path` itself, or the only cube in it if it is a folder of cubes.
+    """Return the path of a cube: `path` itself, or the only cube in it if it is a folder of cubes.
 
-    StoreError if the folder holds no cube or several. A path that ends in .zarr or that does not exist is
+    StoreError if the folder contains no cube or several. A path that ends in .zarr or does not exist is
     returned unchanged.
     """
     path = Path(str(path).removeprefix("file://"))
@@ -98,7 +100,7 @@ def cubes_in(folder: Path) -> list[Path]:
 
 
 def is_cube(path: Path) -> bool:
-    """Whether the store at `path` is a cube, by its attributes; waves and smoothed fields are not."""
+    """Whether the store at `path` is a cube, judged by its attributes, rather than another output."""
     try:
         attributes = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
         return "recipe" in attributes and MARK_ATTRIBUTE not in attributes
@@ -126,7 +128,7 @@ def read_array(group: CubeGroup, path: Path, name: str) -> np.ndarray:
 
 
 def read_layout(group: Any) -> StoreLayout:
-    """Return the sizes of an open cube."""
+    """Return the numbers of steps, chunks and cameras of an open cube, and its first frame number."""
     return StoreLayout(
         steps=group["frame_status"].shape[0],
         chunk_steps=int(group.attrs["steps_per_block"]),

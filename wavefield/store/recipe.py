@@ -64,7 +64,10 @@ class Recipe:
 
     @property
     def hash(self) -> str:
-        """Sixteen hexadecimal digits that change if an entry changes on which values of the cube depend."""
+        """Sixteen hexadecimal digits that identify the entries on which values of the cube depend.
+
+        The experiment's name, the learned `record` and the versions of the software are left out.
+        """
         values = {name: value for name, value in asdict(self).items() if name not in _LABELS}
         text = json.dumps(values, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -78,8 +81,10 @@ def _software() -> dict[str, str]:
 
 
 def differences(old: str, new: str) -> list[str]:
-    """Return one line per entry in which two recipes (JSON text) differ: "grid.step: 0.01 there, 0.02 here".
-    The name, `record` and versions are not compared; `old` is "there", `new` is "here".
+    """Return one line for each entry that differs between two recipes, given as JSON text.
+
+    A line reads "grid.step: 0.01 there, 0.02 here"; `old` is called "there", `new` is called "here". The
+    experiment's name, the entries of `record` and the versions of software are not compared.
     """
     a, b = dict(_leaves(json.loads(old))), dict(_leaves(json.loads(new)))
     keys = [key for key in {**a, **b} if key.partition(".")[0] not in _LABELS and a.get(key) != b.get(key)]
@@ -87,7 +92,7 @@ def differences(old: str, new: str) -> list[str]:
 
 
 def _leaves(data: object, prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield the dotted key and the value of every entry of nested mappings."""
+    """Yield the dotted key and the value of every entry of nested mappings; `prefix` begins all keys."""
     if isinstance(data, dict):
         for key, value in data.items():
             yield from _leaves(value, f"{prefix}.{key}" if prefix else str(key))
@@ -96,7 +101,7 @@ def _leaves(data: object, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _hash_of(recipe: str) -> str:
-    """Return the hash of a recipe given as JSON text; empty if another version wrote it."""
+    """Return the hash of a recipe given as JSON text; empty if its entries are not those of this version."""
     try:
         return Recipe(**json.loads(recipe)).hash
     except (TypeError, ValueError):
@@ -117,7 +122,8 @@ def source_of(cube: Any) -> str:
 
 def state_of(cube: Any) -> str:
     """Return a hash of a cube (Dataset or open group) that changes as further steps are measured.
-    It is `source_of` for a Dataset that no run wrote.
+
+    For a Dataset that no run wrote the result is that of `source_of`.
     """
     if "recipe_hash" not in cube.attrs or "frame_status" not in cube:
         return source_of(cube)
@@ -126,7 +132,10 @@ def state_of(cube: Any) -> str:
 
 
 def check_recipe(path: Path, attributes: Mapping[str, Any], recipe: Recipe) -> None:
-    """Raise StoreError if the cube at `path` was made with another recipe, by its attributes."""
+    """Raise StoreError if the cube at `path` was made with another recipe than `recipe`.
+
+    `attributes` are those of the cube. The message lists the first two differences.
+    """
     there = str(attributes["recipe"])
     if _hash_of(there) == recipe.hash:
         return

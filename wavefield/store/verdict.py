@@ -63,7 +63,7 @@ class Verdict:
         pairs: Numbers | None = None,
         frames: Iterable[int] = (),
     ) -> "Verdict":
-        """Return a verdict of remarks in any order; other arguments are its fields."""
+        """Return a verdict with the remarks sorted by weight; the other arguments are its fields."""
         ordered = tuple(sorted(remarks, key=lambda remark: -_RANK[remark.weight]))
         return cls(ordered, dict(pairs or {}), tuple(int(k) for k in frames))
 
@@ -74,7 +74,7 @@ class Verdict:
 
     @property
     def line(self) -> str:
-        """The verdict in one line."""
+        """The verdict in one line: "sound", or "sound with remarks: cam1 focus"."""
         if self.weight == "note":
             return WORDS["note"]
         about = [f"{r.subject} {r.kind}" for r in self.remarks if r.weight != "note"]
@@ -89,7 +89,7 @@ class Verdict:
         return "\n".join([f"verdict: {self.line}", *(f"  {remark}" for remark in self.remarks)])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all of it as plain data, as ``--json`` prints it."""
+        """Return the verdict and its remarks as plain data, as the option ``--json`` prints them."""
         return {
             "verdict": WORDS[self.weight],
             "line": self.line,
@@ -99,7 +99,10 @@ class Verdict:
         }
 
     def save(self, store: Path) -> None:
-        """Write the verdict next to a cube, in place of an earlier verdict; StoreError if that fails."""
+        """Write the verdict next to the cube `store`, as ``verdict.json`` for ``cube.zarr``.
+
+        An earlier verdict is replaced. StoreError if another file has this name, or if writing fails.
+        """
         path = beside(store, "verdict", ".json")
         check_verdict(store)
         data = self.to_dict()
@@ -108,8 +111,9 @@ class Verdict:
 
 
 def read_verdict(store: str | Path) -> Verdict | None:
-    """Return the verdict that the run of a cube wrote; None if there is none.
-    StoreError if its file is damaged or was changed.
+    """Return the verdict in the file next to a cube; None if there is no such file.
+
+    StoreError if the file is damaged or was changed since wavefield wrote it.
     """
     path = beside(Path(store), "verdict", ".json")
     try:
@@ -131,7 +135,7 @@ def read_verdict(store: str | Path) -> Verdict | None:
 
 
 def check_verdict(store: Path) -> None:
-    """Raise StoreError if a file that is not a verdict is in the place of a cube's verdict."""
+    """Raise StoreError if the name of a cube's verdict, next to the cube, is taken by another file."""
     path = beside(store, "verdict", ".json")
     try:
         known = read_verdict(store) is not None

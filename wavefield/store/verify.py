@@ -133,7 +133,9 @@ def _damages(
     path: Path, group: CubeGroup, layout: StoreLayout, number: int, read: bool = True
 ) -> Iterator[Damage]:
     """Yield the damage of the chunk `number` of a cube; none if the run has not written the chunk.
-    With `read` every variable is read, else only the files are looked for.
+
+    With `read` every variable of the chunk is read. Without it only ``frame_status`` is read, and for the
+    other variables the files must exist.
     """
     start, stop = layout.chunks()[number]
 
@@ -158,8 +160,9 @@ def _damages(
 
 
 def missing_chunks(path: Path, layout: StoreLayout) -> list[int]:
-    """Return the first step of each chunk that `frame_status` calls done but of which a file is missing.
-    Chunks with a damaged `frame_status` are included.
+    """Return the first step of each chunk that has results but lacks a file.
+
+    Chunks whose ``frame_status`` is damaged are included.
     """
     group = open_group(path)
     numbered = enumerate(layout.chunks())

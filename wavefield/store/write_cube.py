@@ -38,11 +38,11 @@ def write_chunk(
     frame_status: np.ndarray,
     faults: Mapping[str, Mapping[int, FrameFault]],
 ) -> None:
-    """Write all results of one chunk into the cube at `path`, `frame_status` last.
+    """Write all results of one chunk into the cube at `path`; ``frame_status`` is written last.
 
-    `start` is the first step of the chunk. `fields` are the variables `CUBE_FIELDS`, (n, ny, nx), unpacked.
-    `frame_status` is (n,), the `FrameStatus` of each step. `faults` are the bad frames of each camera by
-    index in the record. ValueError if sizes or names are wrong, StoreError if the disk fails.
+    `start` is the first step of the chunk. `fields` has the variables `CUBE_FIELDS`, (n, ny, nx), in their
+    units. `frame_status` (n,) has the `FrameStatus` of each step. `faults` has the bad frames of each camera,
+    by index in the record. ValueError if sizes or names are wrong, StoreError if the disk fails.
     """
     group = open_group(path, "r+")
     layout = read_layout(group)
@@ -78,10 +78,11 @@ def write_chunk(
 
 
 def clear_steps(path: Path, steps: Sequence[int]) -> None:
-    """Mark measured steps (indices) as discontinuous and clear their values: NaN, and 0 in `quality`.
+    """Mark measured steps as discontinuous, and clear their values: NaN, and 0 in ``quality``.
 
-    Steps that are not measured or have failed are left as they are. The status of all steps is written before
-    any value, so that a run can clear the rest after an interruption.
+    `steps` are indices of steps. Steps that are not measured or have failed are left as they are. The status
+    of all these steps is written before any value, so that the next run can finish the work after an
+    interruption.
     """
     group = open_group(path, "r+")
     layout = read_layout(group)
@@ -110,7 +111,9 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
 
 def relabel(path: Path, name: str, description: Mapping[str, object]) -> list[str]:
     """Set the name and the descriptive attributes (`DESCRIPTION`) of a cube to those of an experiment.
-    Returns one line per changed attribute, "KEY: old there, new here".
+
+    `name` is the experiment's name; attributes that `description` lacks are removed. Returns one line for
+    each change, "KEY: old there, new here".
     """
     labels = {"experiment": name, "title": title(name), **dict.fromkeys(DESCRIPTION), **description}
     there = open_group(path).attrs
@@ -127,7 +130,10 @@ def _write_ledger(path: Path, group: CubeGroup, start: int, frame_status: np.nda
 
 
 def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
-    """Wait until a chunk's files of the named arrays, and their folders, are on the disk."""
+    """Wait until the files of a chunk, in the arrays `names`, and their folders are on the disk.
+
+    `chunk` is the index of the chunk.
+    """
     folders: dict[Path, None] = {}
     for name in names:
         file = chunk_path(path, name, chunk)
@@ -139,7 +145,10 @@ def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
 
 
 def reset_chunks(path: Path, starts: Sequence[int]) -> None:
-    """Mark chunks, given by their first steps, as not started: the next run measures them again."""
+    """Mark chunks of a cube as not started, so that the next run measures them again.
+
+    `starts` are the first steps of the chunks. The cube is marked as unfinished.
+    """
     if not starts:
         return
     update_metadata(path, {FINISHED: None})
