@@ -108,7 +108,7 @@ def match(
 
 
 def _coarse(a: PreparedImage, b: PreparedImage, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement from the coarse levels alone: u and v (ny, nx) on the finest lattice, px."""
+    """Return the displacement from the coarse levels alone, u and v (ny, nx), on the finest lattice, px."""
     top = min(len(a.levels), settings.levels) - 1
     u, v = _start(a.levels[top], b.levels[top], top, settings)
     for number in range(top, 0, -1):
@@ -121,7 +121,7 @@ def _coarse(a: PreparedImage, b: PreparedImage, settings: MatchSettings) -> tupl
 def _prepared_pair(
     a: np.ndarray | PreparedImage, b: np.ndarray | PreparedImage, settings: MatchSettings
 ) -> tuple[PreparedImage, PreparedImage]:
-    """Prepare both images for these settings unless they are; raise an error if their sizes differ."""
+    """Prepare those of the two images that are not prepared yet; raise FrameError if their sizes differ."""
     a, b = _prepared(a, settings), _prepared(b, settings)
     if a.shape != b.shape:
         raise FrameError(f"the images to match differ in size: {a.shape} and {b.shape}")
@@ -129,7 +129,7 @@ def _prepared_pair(
 
 
 def _prepared(image: np.ndarray | PreparedImage, settings: MatchSettings) -> PreparedImage:
-    """Prepare an image for these settings, or check that it was prepared for them."""
+    """Prepare an image for these settings; raise ValueError if it was prepared for other settings."""
     if not isinstance(image, PreparedImage):
         return prepare(image, settings)
     if image.normalization != settings.normalization:
@@ -146,7 +146,11 @@ def _prepared(image: np.ndarray | PreparedImage, settings: MatchSettings) -> Pre
 
 
 def _start(a: Level, b: Level, levels: int, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Initial displacement on the coarsest level, px of that level."""
+    """Return the initial displacement u, v (ny, nx) on the coarsest level, px of that level.
+
+    It comes from a search over whole pixels, or is zero if the settings give no search range. `levels` is the
+    number of finer levels.
+    """
     if settings.search_x is None or settings.search_y is None:
         return np.zeros(a.blocks, np.float32), np.zeros(a.blocks, np.float32)
     factor = 2**levels
@@ -171,7 +175,11 @@ class _LevelPair:
         self._hessian: np.ndarray | None = None
 
     def update_weights(self, u: np.ndarray, v: np.ndarray) -> None:
-        """Update `count` (1 for usable blocks), `coverage` (usable fraction of windows) and `weighting`."""
+        """Update the attributes that depend on the displacement u, v (ny, nx), px, if usable blocks change.
+
+        They are `count`, 1 for usable blocks, else 0; `coverage`, the usable fraction of each window; and
+        `weighting` of the smoother. The stored Hessian is dropped.
+        """
         count = np.empty(u.shape, np.float32)
         block_weights(self.a.good, self.b.good, u, v, *self.b.shape, count)
         if np.array_equal(count, self.count):
@@ -183,13 +191,13 @@ class _LevelPair:
 
     @property
     def hessian(self) -> np.ndarray:
-        """Hessian of image a, summed over windows, (3, ny, nx)."""
+        """Sums of gx gx, gx gy, gy gy of image a over windows, (3, ny, nx); stored until weights change."""
         if self._hessian is None:
             self._hessian = self.windows(self.a.moments[:3] * self.count)
         return self._hessian
 
     def windows(self, fields: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-        """Sum fields over the windows."""
+        """Average each of the fields (n, ny, nx) over Gaussian windows, and return (n, ny, nx)."""
         out = np.empty_like(fields) if out is None else out
         for field, to in zip(fields, out):
             filtered(field, self.weights, to)
@@ -198,9 +206,10 @@ class _LevelPair:
     def advance(
         self, u: np.ndarray, v: np.ndarray, hessian: np.ndarray, score: np.ndarray, number: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Take one step, replace outliers, smooth; returns the new u, v and the mask of outliers (ny, nx).
+        """Take one Gauss-Newton step, replace outliers and smooth; return u, v and the mask of outliers.
 
-        `hessian` and `score` are summed over windows; `number` counts the steps on this level.
+        All three are new arrays (ny, nx). `hessian` (3, ny, nx) and `score` (2, ny, nx) are those of windows;
+        `number` is the index of the step on this level, from 0.
         """
         settings = self.settings
         u, v = u.copy(), v.copy()
@@ -213,14 +222,17 @@ class _LevelPair:
 
 
 def _slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Displacement gradients inside blocks, from block averages."""
+    """Return the gradients du/dx, du/dy, dv/dx, dv/dy of a displacement u, v (ny, nx), (4, ny, nx)."""
     return slopes(u, v, _TYPICAL_AREA)
 
 
 def _last_sums(
     a: Level, b: Level, u: np.ndarray, v: np.ndarray, slope: np.ndarray, work: WorkSpace
 ) -> np.ndarray:
-    """Sums of `final_sums` with the Hessian of a in planes 2 to 4, (12, ny, nx)."""
+    """Return the sums of `final_sums`, (12, ny, nx), with the Hessian of image a in planes 2 to 4.
+
+    `slope` (4, ny, nx) holds the gradients of the displacement u, v (ny, nx), px; `work` is scratch.
+    """
     sums = np.empty((12, *u.shape), np.float32)
     final_sums(a.padded, b.padded, u, v, slope, work, sums)
     sums[2:5] = a.moments[:3]
@@ -228,7 +240,7 @@ def _last_sums(
 
 
 def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Take `count` steps without assessing the blocks; the Hessian is that of image a."""
+    """Take `count` Gauss-Newton steps from u, v (ny, nx), px; return u, v. Blocks are not assessed."""
     for number in range(count):
         pair.update_weights(u, v)
         score = pair.windows(_plain_scores(pair, u, v, _slopes(u, v)))
@@ -237,7 +249,7 @@ def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> 
 
 
 def _plain_scores(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Scores of the usable blocks, (2, ny, nx); 0 for the others."""
+    """Return the scores of the blocks, (2, ny, nx), for u, v with these slopes; 0 if not usable."""
     sums = np.empty((2, *u.shape), np.float32)
     plain_sums(pair.a.padded, pair.b.padded, u, v, pair.work, sums)
     subtract_slopes(sums, pair.a.moments, slope)
@@ -246,7 +258,7 @@ def _plain_scores(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndar
 
 
 def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displacement:
-    """Take `count` steps on the finest level; the sums of the last one also assess the blocks."""
+    """Take `count` Gauss-Newton steps on the finest level, from u, v (ny, nx), px, and assess the blocks."""
     a, b = pair.a, pair.b
     u, v = _plain_steps(pair, u, v, count - 1)
     pair.update_weights(u, v)
@@ -264,15 +276,17 @@ def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displ
 def reevaluate(
     a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray, settings: MatchSettings
 ) -> Displacement:
-    """Scores, Hessians and validity of the blocks at a given displacement u, v (ny, nx), float32, px.
+    """Compute scores, Hessians and validity of the blocks again, at the displacement u, v (ny, nx), px.
 
-    The scores are corrected for strain. If the displacement has gradients e_jk = du_j/dx_k, sampling b at
-    the displacement strains the images of beads, but real beads move without changing shape. The residual of
-    beads then contains e_jj a + s^2 e_jk a_jk, with a_jk the second derivatives of image a and s^2 the
-    variance of the image of a bead; that of a blurred texture contains only the second term. Both terms are
-    symmetric about the middle of a bead. A complete bead therefore adds nothing to the score, but a bead that
-    is cut by the edge of a block does. The function subtracts the scores of c e_jj a + s^2 e_jk a_jk, with
-    c (0 to 1) and s^2 fitted by least squares.
+    No step is taken: the result has this u and v, which are float32. Its scores are corrected for strain. If
+    the displacement has gradients e_jk = du_j/dx_k, sampling b at the displacement strains the images of
+    beads, but real beads move without changing shape. The residual between the images of beads then contains
+    e_jj a + s^2 e_jk a_jk, with a_jk the second derivatives of image a and s^2 the variance of the image of
+    a bead. On a blurred texture, the residual contains only the second term.
+
+    Both terms are symmetric about the middle of a bead. A complete bead therefore adds nothing to the score,
+    but a bead that is cut by the edge of a block does. The function fits c e_jj a + s^2 e_jk a_jk to the
+    scores by least squares, with c between 0 and 1, and subtracts it.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
     pair.update_weights(u, v)
@@ -289,12 +303,12 @@ def reevaluate(
 def scores_at(
     found: Displacement, a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray
 ) -> Displacement:
-    """The match `found` of two cameras, with scores and Hessians at u, v (ny, nx), float32, px.
+    """Return the match `found` of two cameras with new u, v (ny, nx), float32, px, scores and Hessians.
 
     Two cameras see a bead unequally bright, so a block that contains a part of it would seem to move. Every
-    pixel therefore counts in the block that contains the top of its bead. Unlike `reevaluate`, this function
-    does not assess the blocks again: those that the match rejected stay rejected. Scores of blocks that are
-    not usable are 0.
+    pixel therefore counts in the block that contains the brightest point of its bead. The validity of the
+    blocks stays that of `found`, unlike in `reevaluate`. Scores and Hessians are 0 for blocks that are masked
+    or outside image b at u, v, or next to such a block.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     pair.update_weights(u, v)
@@ -312,9 +326,10 @@ def scores_at(
 def _search(
     a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], settings: MatchSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement u, v (ny, nx) of every block, px of this level, by a search over whole-pixel shifts.
+    """Search the displacement u, v (ny, nx) of every block, px of this level, over whole-pixel shifts.
 
-    The shift with the largest correlation is refined by a parabola along each axis.
+    The ranges (smallest, largest) are inclusive. The shift with the largest correlation is refined by a
+    parabola along each axis. Outliers are then replaced and the result is smoothed.
     """
     ny, nx = a.blocks
     w = nx * BLOCK
@@ -338,9 +353,10 @@ def _search(
 
 @njit
 def _largest(correlation: np.ndarray, border: int, best: np.ndarray) -> None:
-    """Write the number of the shift with the largest correlation of each block to best (ny, nx).
+    """Write to best (ny, nx), for each block, the index of the shift with the largest correlation.
 
-    Among equal ones the first counts. `correlation` is (row shifts, ny, column shifts, nx + 2 border).
+    `correlation` is (row shifts, ny, column shifts, nx + 2 border). The index is that of the row shift times
+    the number of column shifts, plus that of the column shift. Among equal correlations the first counts.
     """
     rows, ny, n, width = correlation.shape
     nx = width - 2 * border
@@ -358,9 +374,9 @@ def _largest(correlation: np.ndarray, border: int, best: np.ndarray) -> None:
 
 
 def _peaks(correlation: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shifts u, v (ny, nx) of the largest correlation of each block, refined by parabolas.
+    """Return the shift u, v (ny, nx), px, of largest correlation of each block, refined by parabolas.
 
-    The first shift in `correlation` (see `_largest`) is first_x, first_y.
+    `correlation` is shaped as in `_largest`; its element 0 belongs to the shift first_x, first_y, px.
     """
     rows, ny, n, width = correlation.shape
     best = np.empty((ny, width - 2 * border), np.int32)
@@ -381,7 +397,7 @@ def _peaks(correlation: np.ndarray, border: int, first_x: int, first_y: int) -> 
 
 @dataclass(frozen=True)
 class _LastStep:
-    """The last step of a match, and the sums that it was computed from."""
+    """The last Gauss-Newton step of a match, and the sums over blocks that it was computed from."""
 
     sums: np.ndarray  # (12, ny, nx): sums of `_last_sums` per block
     windowed: np.ndarray  # (12, ny, nx): the same summed over windows, planes 5 to 11 only
@@ -394,7 +410,7 @@ class _LastStep:
 def _assess(
     a: Level, b: Level, u: np.ndarray, v: np.ndarray, last: _LastStep, settings: MatchSettings
 ) -> Displacement:
-    """Scores, Hessians and validity of the blocks at a displacement u, v (ny, nx), px."""
+    """Return the displacement u, v (ny, nx), px, with the correlation, scores and validity of its blocks."""
     correlation, energy = _correlation(last)
     score, hessian = _own_scores(last)
     reason = _reasons(a, b, u, v, last.outlier, correlation, energy, settings)
@@ -402,7 +418,10 @@ def _assess(
 
 
 def _correlation(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
-    """Normalised correlation and common gradient energy (mean ga gb) of the windows, each (ny, nx)."""
+    """Return the normalised correlation and the common gradient energy of the windows, each (ny, nx).
+
+    The energy is the mean of ga gb, the product of the differences along x in both images.
+    """
     rr, sa, aa, sr, ar, ab = last.windowed[5:11]
     power = float(aa.mean() / F(BLOCK * BLOCK))
     least = F((1e-4 * power + 1e-12) ** 2)
@@ -416,7 +435,11 @@ def _correlation(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _own_scores(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
-    """Score (2, ny, nx) and Hessian (3, ny, nx) of each single block after the step."""
+    """Return score (2, ny, nx) and Hessian (3, ny, nx) of each single block, after the last step.
+
+    The score is extrapolated linearly over this step. The Hessian is that of image a, times the fraction of
+    its gradient energy that both images share.
+    """
     # `sums` holds the Hessian of image a, noise included. `ratio` is the common gradient energy over that of
     # the mean image; the fraction of a's energy that both images share is ratio / (2 - ratio).
     shared, of_mean = last.windowed[10:12]
@@ -437,7 +460,10 @@ def _reasons(
     energy: np.ndarray,
     settings: MatchSettings,
 ) -> np.ndarray:
-    """Bits of `Reason` per block, (ny, nx) uint8."""
+    """Return why blocks are not valid: bits of `Reason` for each block, (ny, nx) uint8, 0 if it is valid.
+
+    `outlier` is a mask (ny, nx); `correlation` and `energy` (ny, nx) are those of `_correlation`.
+    """
     inside, weight = np.empty((2, *u.shape), np.float32)
     block_weights(NO_MASK, NO_MASK, u, v, *b.shape, inside)
     if a.good.size or b.good.size:
@@ -465,6 +491,9 @@ def _reasons(
 
 
 def _sparse_median(field: np.ndarray, usable: np.ndarray) -> float:
-    """Median of every third usable block along both axes; windows overlap, so these suffice."""
+    """Return the median of `field` over every third usable block along both axes; 0 without any.
+
+    Windows overlap, so these blocks suffice. `usable` is a mask (ny, nx).
+    """
     every_third = field[::3, ::3][usable[::3, ::3]]
     return float(np.median(every_third)) if every_third.size else 0.0

@@ -23,25 +23,25 @@ class MatchSettings:
     iterations : tuple of int
         Gauss-Newton steps on each pyramid level, coarsest first.
     window : float
-        Size of the Gaussian window: side of the square with the same area, px of each level.
+        Side of a square with the area of the Gaussian window, px of each level.
     smoother_sigma : float
         Standard deviation, in blocks, of the Gaussian G in the smoother 1 - (1 - G)^4 on the finest level; 0
         turns the smoother off.
     coarse_smoother_sigma : float
-        The same on the coarser levels.
+        The same on the coarser levels, in blocks.
     normalization : float
         Standard deviation of the Gaussian window that normalises brightness locally, px.
     search_x, search_y : (float, float) or None
         Smallest and largest displacement to search, px of the image; None for no search.
     search_window : float
-        Size of the window in this search, px of the coarsest level.
+        Size of the Gaussian window in this search, px of the coarsest level.
     min_correlation : float
         Blocks with a lower normalised correlation are invalid.
     min_gradient_energy : float
         Blocks below this fraction of the image's median gradient energy are invalid.
     max_deviation : float
-        Blocks that differ from the median of their 5 x 5 neighbours by more than this, px, are replaced by
-        it. In the last step they are also invalid.
+        Blocks that differ by more than this, px, from the median of 5 x 5 blocks get the median instead;
+        those of the last step are also invalid.
     """
 
     __pydantic_config__ = CHECKED
@@ -80,17 +80,20 @@ class MatchSettings:
 
     @property
     def levels(self) -> int:
-        """Number of pyramid levels."""
+        """Largest number of pyramid levels; small images have fewer."""
         return len(self.iterations)
 
     @classmethod
     def piv(cls, **changes: Any) -> MatchSettings:
-        """Settings for one camera, from one frame to the next: the defaults with `changes`."""
+        """Return settings for one camera, from one frame to the next: the defaults with these changes."""
         return replace(cls(), **changes)
 
     @classmethod
     def stereo(cls, **changes: Any) -> MatchSettings:
-        """Settings for two synchronous cameras: large smooth parallax, different lighting; with `changes`."""
+        """Return settings for frames of two cameras at one instant, with these changes.
+
+        They suit a large, smooth parallax and different lighting.
+        """
         return replace(
             cls(
                 iterations=(3, 3, 3, 3),
@@ -120,7 +123,7 @@ class Reason(IntFlag):
 
 @dataclass(frozen=True)
 class Displacement:
-    """Displacement on a lattice of blocks: b(x + u, y + v) matches a(x, y).
+    """Displacement from image a to image b on a lattice of blocks: b(x + u, y + v) matches a(x, y).
 
     Parameters
     ----------
@@ -131,13 +134,15 @@ class Displacement:
     reason : (ny, nx) uint8
         Bits of `Reason`; 0 where valid.
     settings : MatchSettings
-        The settings used.
+        The settings of this match.
     score : (2, ny, nx) float32
-        Score of every block for u and v: sums of gx r and gy r, with r the residual between the images. It is
-        zero if the displacement minimises the squared residual of the block alone.
+        Sums over every block of gx r and gy r, with gx, gy the gradients of image a and r = a - b the
+        residual at this displacement. The score is zero if the displacement minimises the squared residual of
+        the block alone.
     hessian : (3, ny, nx) float32
-        Sums of gx gx, gx gy, gy gy of the gradients common to both images. The inverse of this matrix times
-        the score is the block's own correction of the displacement.
+        Sums over every block of gx gx, gx gy, gy gy, reduced to the gradients common to both images. The
+        inverse of this 2 x 2 matrix times the score is the correction of the displacement from the block
+        alone.
     """
 
     u: np.ndarray
@@ -150,16 +155,16 @@ class Displacement:
 
     @property
     def x(self) -> np.ndarray:
-        """(nx,) float64: columns of the block centres in image a, px; pixel centres are at 0, 1, 2, ..."""
+        """Columns of the block centres in image a, (nx,), px; pixel centres are at 0, 1, 2, ..."""
         return np.arange(self.u.shape[1]) * float(BLOCK) + (BLOCK - 1) / 2
 
     @property
     def y(self) -> np.ndarray:
-        """(ny,) float64: rows of the block centres in image a, px."""
+        """Rows of the block centres in image a, (ny,), px; pixel centres are at 0, 1, 2, ..."""
         return np.arange(self.u.shape[0]) * float(BLOCK) + (BLOCK - 1) / 2
 
     @property
     def valid(self) -> np.ndarray:
-        """(ny, nx) bool: blocks with a valid displacement."""
+        """Mask (ny, nx), True for blocks with a valid displacement."""
         out: np.ndarray = self.reason == 0
         return out

@@ -53,10 +53,11 @@ class Prior:
         [component][direction][wavenumber]. One component or direction stands for all. Directions divide a
         quarter turn evenly, from waves along the rows of the lattice to waves along its columns.
     information : float
-        Typical information of a block: inverse variance of its own estimate, per unit squared.
+        Typical information A of a block: the inverse variance of the value that the block alone gives, per
+        unit squared.
     noise : float
-        Factor on the noise of the scores from clusters of blocks. It makes the misfit between several cameras
-        agree with chi^2.
+        Factor on the noise variance that `noise_of_scores` estimates. It makes the misfit between several
+        cameras agree with chi^2.
     wave_fraction : float
         Fraction of the spectrum that is waves. The rest is noise of long wavelength, as on still water, and
         does not count as missing waves in the uncertainty.
@@ -88,7 +89,11 @@ class Prior:
     def isotropic(
         cls, k: Sequence[float], power: Sequence[float], information: float, area: float = FOOTPRINT_VARIANCE
     ) -> Prior:
-        """Prior of a field with the same spectrum at wavenumbers k in all directions and components.
+        """Return a prior with the same spectrum in all directions and for all components of a field.
+
+        `power` are the values of the spectrum at the wavenumbers k, rad per block. `information` is the
+        typical inverse variance of a block's value; `area` is the variance of the area that it averages over,
+        px^2.
 
         Examples
         --------
@@ -99,14 +104,15 @@ class Prior:
         return cls(tuple(map(float, k)), ((tuple(map(float, power)),),), float(information), area=area)
 
     def footprint(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Gain of the area that a block's value averages over, at wavenumbers kx, ky, rad per block."""
+        """Return the gain F of averaging over the area of a block, at wavenumbers kx, ky, rad per block."""
         return footprint(kx, ky, self.area)
 
     def with_min_signal_to_noise(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
-        """The prior, raised so that every mode below SHORTEST_WAVENUMBER has at least this signal-to-noise.
+        """Return the prior with its spectrum raised to at least this ratio of signal to noise.
 
-        A prior that is too small suppresses waves, and a spectrum learned from the resulting fields would
-        again be too small. Spectra are therefore learned with a raised prior.
+        Only wavenumbers below 2 rad per block are raised. A prior that is too small suppresses waves, and a
+        spectrum learned from the resulting fields would again be too small. Spectra are therefore learned
+        with a raised prior.
         """
         k = np.array(self.k)
         least = ratio / (self.footprint(k, np.zeros(1)) ** 2 * self.information)
@@ -115,7 +121,10 @@ class Prior:
         return replace(self, power=power)
 
     def spectrum(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Spectrum of each component at wavenumbers kx, ky (rad per block); components come first."""
+        """Return the spectrum S of each component at wavenumbers kx, ky, rad per block.
+
+        kx and ky are broadcast; the component is the first axis of the result.
+        """
         table = np.log(np.maximum(self.power, 1e-30))  # a field without motion has power 0
         directions = table.shape[1]
         at = np.interp(np.hypot(kx, ky), self.k, np.arange(len(self.k)))
@@ -132,24 +141,36 @@ class Prior:
         return np.asarray(np.exp(out))
 
     def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Fraction of `spectrum` that is expected to be waves; below 1 where it is an upper limit."""
+        """Return the fraction of `spectrum` that is expected to be waves, at wavenumbers kx, ky.
+
+        It is `wave_fraction`, times `undetected_fraction` where the spectrum is an upper limit. The component
+        is the first axis of the result; wavenumbers are in rad per block.
+        """
         detected = np.array(self.detected or [[True] * len(self.k)])
         fraction = self.wave_fraction * np.where(detected, 1.0, self.undetected_fraction)
         return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in fraction])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Signal-to-noise ratio F^2 A S of each component, with the typical information A."""
+        """Return the signal-to-noise ratio F^2 A S of each component, at wavenumbers kx, ky, rad per block.
+
+        F is the footprint, A the typical information and S the spectrum. The component is the first axis.
+        """
         return np.asarray(self.footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
 
     def gain(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Amplitude gain of the MAP field for a wave, F^2 A S / (F^2 A S + 1), of each component."""
+        """Return the amplitude gain of the MAP field for waves with wavenumbers kx, ky, rad per block.
+
+        It is R / (R + 1), with R the signal-to-noise ratio. The component is the first axis of the result.
+        """
         ratio = self.signal_to_noise(kx, ky)
         return np.asarray(ratio / (ratio + 1.0))
 
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Variance of the MAP field due to waves, G^2 S, and due to noise, G^2 / (F^2 A), each (1 or c,).
+        """Return the expected variances of a MAP field on a lattice `shape` (ny, nx), from waves and noise.
 
-        All blocks have the typical information; the mean over the lattice `shape` (ny, nx) does not count.
+        Both have one number per component, (1 or c,). They are means over all cosine modes but the constant
+        one: of G^2 S for waves and of G^2 / (F^2 A) for noise. G is the gain, S the spectrum and F the
+        footprint; all blocks are taken to have the typical information A.
         """
         kx, ky = wavenumbers(shape)
         squared_gain = np.square(self.gain(kx, ky))
@@ -158,7 +179,7 @@ class Prior:
         return (squared_gain * self.spectrum(kx, ky)).mean(axis=(1, 2)), noise.mean(axis=(1, 2))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for a recipe."""
+        """Return the prior as plain data (numbers, lists) for the recipe that is stored with the results."""
         names = ("information", "noise", "wave_fraction", "undetected_fraction", "area")
         tables = {
             "k": list(self.k),
@@ -169,7 +190,7 @@ class Prior:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Prior:
-        """Inverse of `to_dict`."""
+        """Make a prior from the data that `to_dict` returned."""
         power = tuple(tuple(tuple(map(float, ring)) for ring in directions) for directions in data["power"])
         detected = tuple(tuple(map(bool, rings)) for rings in data["detected"])
         names = ("noise", "wave_fraction", "undetected_fraction", "area")
@@ -179,16 +200,17 @@ class Prior:
 
 
 def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Wavenumbers kx (nx,) and ky (ny, 1) of the cosines on a lattice (ny, nx), rad per block."""
+    """Return the wavenumbers kx (nx,) and ky (ny, 1) of cosines on a lattice (ny, nx), rad per block."""
     ky, kx = (np.pi * np.arange(n) / n for n in shape)
     return kx, ky[:, None]
 
 
 class WavenumberRings:
-    """Means over rings of wavenumber, and over their sectors of direction, for modes kx (mx,), ky (my, 1).
+    """Means over rings, which are bins of wavenumber, and over the six sectors of direction of each ring.
 
-    Attributes: middle (rings,), the wavenumbers of the rings; count (rings,) and sector_count
-    (sectors, rings), the number of modes in each.
+    The modes have wavenumbers kx (mx,) and ky (my, 1), rad per block. Attributes: `middle` (rings,), the
+    wavenumber in the middle of each ring; `k`, the same as a tuple; `count` (rings,) and `sector_count`
+    (sectors, rings), the numbers of modes; `of_modes` (my, mx), the ring of each mode.
     """
 
     def __init__(self, kx: Float, ky: Float) -> None:
@@ -202,25 +224,26 @@ class WavenumberRings:
         self.sector_count = np.bincount(self._sector, minlength=SECTORS * RINGS).reshape(SECTORS, RINGS)
 
     def mean(self, field: NDArray[Any]) -> NDArray[np.float64]:
-        """Mean of a field over rings, (rings,)."""
+        """Return the mean over each ring of a field (my, mx) of the modes, (rings,); 0 in empty rings."""
         total = np.bincount(self.of_modes.ravel(), field.ravel(), minlength=RINGS)
         return np.asarray(total / np.maximum(self.count, 1))
 
     def rings(self, fields: Float) -> NDArray[np.float64]:
-        """Mean of fields (c, my, mx) over rings, (c, rings)."""
+        """Return the means over each ring of fields (c, my, mx) of the modes, (c, rings)."""
         return np.array([self.mean(field) for field in fields])
 
     def sectors(self, fields: Float) -> NDArray[np.float64]:
-        """Mean of fields (c, my, mx) over the sectors of rings, (c, sectors, rings)."""
+        """Return the means over each sector of each ring of fields (c, my, mx), (c, sectors, rings)."""
         size = self.sector_count.size
         total = np.array([np.bincount(self._sector, field.ravel(), minlength=size) for field in fields])
         return np.asarray(total.reshape(-1, SECTORS, RINGS) / np.maximum(self.sector_count, 1))
 
     def significant(self, ratio: Float) -> NDArray[np.bool_]:
-        """Whether each ring has significant power, (rings,), from its ratio of power to noise.
+        """Return a mask (rings,), True for rings whose power stands out from the noise.
 
-        Up to the first ring without, DETECTED_SIGNAL_TO_NOISE suffices. Beyond it, a ring and the mean with
-        its two neighbours must both exceed MIN_RING_SIGNAL_TO_NOISE.
+        `ratio` (rings,) is the power over the noise. A ring stands out if the ratio is above 0.3 in it and in
+        all rings before it. It also does if both its ratio and the mean with its two neighbours are above
+        1.5, at less than 2 rad per block. The first three rings are always True.
         """
         occupied = self.count > 0
         last = self.count_until_false(occupied & (ratio > DETECTED_SIGNAL_TO_NOISE))
@@ -230,7 +253,10 @@ class WavenumberRings:
         return np.asarray((np.arange(RINGS) < last) | beyond_gap)
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
-        """Ratio of power to noise averaged over neighbouring rings, (rings,), without calibration errors."""
+        """Return the ratio of power to noise, (rings,), averaged over five neighbouring rings.
+
+        The first four rings do not count, because they contain calibration errors.
+        """
         count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")
@@ -241,18 +267,21 @@ class WavenumberRings:
 
     @staticmethod
     def count_until_false(flags: NDArray[np.bool_]) -> int:
-        """Number of flags before the first False, at least three."""
+        """Return the number of flags before the first False, or 3 if there are fewer."""
         return max(int(np.argmin(flags)) if not flags.all() else len(flags), 3)
 
 
 def footprint(kx: np.ndarray, ky: np.ndarray, variance: float = FOOTPRINT_VARIANCE) -> np.ndarray:
-    """Gain of an area of Gaussian weight with this variance, px^2, at wavenumbers kx, ky, rad per block."""
+    """Return the gain of averaging over a Gaussian area, at wavenumbers kx, ky, rad per block.
+
+    `variance` is the variance of this area along each axis, px^2.
+    """
     out: np.ndarray = np.exp(-0.5 * variance * (np.square(kx) + np.square(ky)) / BLOCK**2)
     return out
 
 
 def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
-    """Average fields (c, ny, nx) over the footprint of a block, given the variance of its area, px^2."""
+    """Average fields (c, ny, nx) over an area around each block with this variance along each axis, px^2."""
     side = 0.5 * variance / BLOCK**2
     kernel = np.array([side, 1.0 - 2.0 * side, side])
     return np.stack(
@@ -261,10 +290,10 @@ def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
 
 
 def displacement_area(bead_width: float) -> float:
-    """Variance, px^2, of the area that the displacement of a block averages over, for a bead width in px.
+    """Return the variance, px^2, of the area over which the displacement of a block averages the motion.
 
-    The block contributes 25/12 and the images of beads width^2 / 3, as measured with drawn beads of 1.5 to
-    4.2 px. RESTORED_VARIANCE is added.
+    The block contributes 25/12, and beads of the width `bead_width`, px, contribute width^2 / 3, as measured
+    with drawn beads of 1.5 to 4.2 px. RESTORED_VARIANCE, 1.2, is added.
 
     >>> [round(displacement_area(width), 2) for width in (1.5, 3.0)]
     [4.03, 6.28]
