@@ -61,12 +61,12 @@ def analyze(
     cube : path or Dataset
         A cube's store, or z, z_t, u, v, w over (time, y, x), m and m/s.
     out : path, optional
-        Zarr store to write; one that is there is replaced once the new one is complete.
+        Zarr store to write. An existing store is replaced once the new one is complete.
     progress : callable, optional
-        Called with the parts done and all parts.
+        Called with the number of parts done and of all parts.
     each : callable, optional
-        ``each(work, items)`` does work for every item elsewhere and gives the results in the order of the
-        items; for a cube in a store (`wavefield.analyze_on_workers` gives one).
+        ``each(work, items)`` applies ``work`` to every item on workers and yields the results in order. Only
+        for a cube in a store; `wavefield.analyze_on_workers` makes such a function.
     **options
         Any of the following:
 
@@ -81,10 +81,10 @@ def analyze(
             displacements over one step.
         ``gain`` : path, Dataset or False
             Response of the measurement to waves, undone in the spectra where it is half or more; shorter
-            waves are not valid. By default that stored with the cube; False leaves the spectra as they were
-            measured.
+            waves are not valid. By default the response stored with the cube; False leaves the spectra as
+            they were measured.
         ``current`` : tuple of float
-            Velocity of the water along x and y, m/s, used where the fit of the current is refused.
+            Velocity of the water along x and y, m/s, used if the spectra do not allow a fit of the current.
         ``maps`` : sequence of float
             Frequencies of the maps E(ky, kx), Hz; by default 1.5, 2, 2.8 and 4.
 
@@ -203,7 +203,11 @@ def analyze_on_workers(
 
 
 def _through_disk(work: Callable[[Any], Any], folder: Path, numbered: tuple[int, Path]) -> Path:
-    """Do the work for an item in a file and write the result to a file: both are too large for messages."""
+    """Read a pickled item from a file, apply `work` to it, and return the path of the pickled result.
+
+    `numbered` is the number of the item and its file; the result is written in `folder`. Items and results
+    are too large for messages between processes.
+    """
     return _dump(work(_load(numbered[1])), folder)
 
 
@@ -236,7 +240,11 @@ def _not_shared(folder: Path) -> ExperimentError:
 def _in_order(
     map_unordered: MapUnordered, folder: Path, work: Callable[[Any], object], items: Sequence[object]
 ) -> Iterator[Any]:
-    """Yield results in the order of their items; those that come early wait on the disk."""
+    """Apply `work` to the items on workers, and yield the results in the order of the items.
+
+    `map_unordered` runs the tasks on the workers. Items and results are files in `folder`; a result that
+    comes early waits there, and is removed once it has been yielded.
+    """
     waiting: dict[int, Path] = {}
     requested = 0
     if not items:
@@ -257,7 +265,11 @@ def _in_order(
 def write_smoothed(
     store: Path, output: Path | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Path:
-    """Write the smoothed fields of a cube to a Zarr store, whole or not at all; returns its path."""
+    """Write the smoothed fields of a cube (`wavefield.smooth`) to a Zarr store, and return its path.
+
+    `store` is that of the cube; `output` is by default next to it. A store appears only once it is complete.
+    `progress` is called with the number of steps written and of all steps.
+    """
     import zarr
 
     from wavefield.atomic_write import Product, atomic, check_writable

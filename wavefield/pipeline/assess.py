@@ -74,11 +74,12 @@ _NOT_COMPARED = Remark(
 
 
 def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> CameraFaults:
-    """Compare the cameras' images at a few frames of the record.
+    """Compare the images of the cameras at a few frames of the record, and return what is wrong.
 
-    Patches may not match even with a correct rig: if waves are higher or steeper than their search allows, or
-    in a light sheet that spans several pixels of parallax. If all cameras together measured most nodes of the
-    sampled steps (``quality``, (n, ny, nx)), remarks on inconsistent cameras are therefore dropped.
+    Patches of the images may not match even with a correct rig: if waves are higher or steeper than the
+    search allows, or in a light sheet that spans several pixels of parallax. Remarks on inconsistent cameras
+    are therefore dropped if all cameras together measured most nodes of the sampled steps; ``quality`` (n,
+    ny, nx) is that of these steps.
     """
     series, count = prepared.series, prepared.steps + 1
     matcher = PatchMatcher(lambda name, k: series[name].read_uncovered(k), prepared.rig, prepared.grid)
@@ -97,7 +98,11 @@ def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> Camer
 def measure_synchrony(
     prepared: PreparedRun, cube: xr.Dataset, frames: Sequence[int], first: int = 0
 ) -> Synchrony:
-    """Delays between the cameras at some frames; ``first`` is the step of the record that begins the cube."""
+    """Measure the delays between the cameras at some frames of the record.
+
+    ``first`` is the step of the record at which ``cube`` begins. No delays are returned if nothing was
+    learned from the record.
+    """
     rate = prepared.experiment.frame_rate
 
     def images(k: int) -> Mapping[str, NDArray[np.generic] | None]:
@@ -117,11 +122,11 @@ def measure_synchrony(
 
 
 def check_record(prepared: PreparedRun, status: Status) -> RiseRatios | None:
-    """Find lost, doubled or late frames from the kinematics of a cube; if it is complete, clear their steps.
+    """Find lost, doubled or late frames by comparing the rise of the surface with its velocity.
 
-    Steps that use frames from both sides of such a frame are set to NaN in the store; a second call changes
-    nothing. Returns the ratios of the other steps (`wavefield.quality.record.rise_ratios`); None for light
-    sheets and for records of few steps.
+    In a complete cube, steps that use frames from both sides of such a frame are set to NaN in the store; a
+    second call changes nothing. Returns the ratios of the other steps
+    (`wavefield.quality.record.rise_ratios`); None for light sheets and for less than five measured steps.
     """
     sheet = prepared.geometry.settings.sheet_thickness is not None
     if sheet or status.done + status.faulty < MIN_STEPS:
@@ -137,7 +142,7 @@ def check_record(prepared: PreparedRun, status: Status) -> RiseRatios | None:
 
 
 def assess_run(prepared: PreparedRun, status: Status, ratios: RiseRatios | None) -> Verdict:
-    """The verdict on a cube after its run; ``ratios`` are those of `check_record`."""
+    """Return the verdict on a cube after its run; ``ratios`` is the result of `check_record`."""
     experiment, series = prepared.experiment, prepared.series
     cube = open_cube(status.store)
     sample = cube[[*COMPARED, "eps_piv", "quality"]]
@@ -161,20 +166,20 @@ def assess_run(prepared: PreparedRun, status: Status, ratios: RiseRatios | None)
 
 
 def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tuple[float, float]:
-    """Times of the first and last frames, s."""
+    """Return the times of the first and the last frame of the record, s."""
     times = experiment.frame_times(next(iter(series.values())))
     return float(times[0]), float(times[-1])
 
 
 def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Remark]:
-    """Remarks on delays and motion of cameras, from their epipolar errors."""
+    """Yield remarks on delays between cameras and on cameras that moved during the record."""
     frames = [1 + k for k in _sampled(prepared.steps - 1)]
     yield from remarks_on_clocks(measure_synchrony(prepared, cube, frames))
     yield from remarks_on_mounts(cube)
 
 
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
-    """Remarks on waves that are too fast for the frame rate or too short for the images."""
+    """Yield remarks on waves that are too fast for the frame rate or too short for the images."""
     record, measured = prepared.record, sample.quality.values & int(Quality.MEASURED) != 0
     if record is None or not measured.any():
         return
@@ -201,7 +206,10 @@ def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
 
 
 def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
-    """Remarks on measured fields of some steps, each (n, ny, nx)."""
+    """Yield remarks on PIV errors and on holes in the fields of some steps.
+
+    ``fields`` holds z, eps_piv and quality, each (n, ny, nx).
+    """
     if not np.isfinite(fields["z"]).any():
         return  # failed steps have a remark of their own
     yield from remark_on_eps_piv(fields["z"], fields["eps_piv"])
@@ -209,21 +217,27 @@ def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
 
 
 def _kinematics(cube: xr.Dataset, sample: xr.Dataset, ratios: RiseRatios) -> Iterator[Remark]:
-    """Remarks on elevations and velocities that contradict each other."""
+    """Yield remarks on elevations and velocities that contradict each other."""
     yield from remark_on_kinematics(sample)
     yield from remark_on_cleared_steps(cube)
     yield from remark_on_jitter(ratios, sample)
 
 
 def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
-    """Fraction of the nodes in view that were measured (not filled), optionally by all cameras."""
+    """Return the fraction of the nodes in view that were measured, not filled; 0 if none is in view.
+
+    With ``by_all``, only nodes that were measured with all cameras count.
+    """
     visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
     marks = np.uint16(Quality.MEASURED | (Quality.FEWER_CAMERAS if by_all else 0))
     return float(((quality[visible] & marks) == Quality.MEASURED).mean()) if visible.any() else 0.0
 
 
 def _sampled(steps: int) -> list[int]:
-    """Steps that are matched again after a run: few of a short record, to keep the cost small."""
+    """Return the steps that are matched again after a run: a tenth of them, but at least 4 and at most 12.
+
+    ``steps`` is the number of steps in the record.
+    """
     return evenly_spaced(steps, min(MAX_SAMPLED, max(SAMPLE_STEPS, steps // 10)))
 
 
@@ -282,7 +296,7 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
 
 
 def _errors(found: Diagnosis) -> Iterator[tuple[str, str, str, NDArray[np.float64]]]:
-    """Quantity, cameras, units and values of every error at one step."""
+    """Yield the quantity, cameras, units and values of every error between cameras at one step."""
     for pair, values in found.eps_y.items():
         yield "eps_y", joined(pair), "m", values
         yield "sigma_z", joined(pair), "m", np.array([found.z_std[pair]])
@@ -298,7 +312,7 @@ def _errors(found: Diagnosis) -> Iterator[tuple[str, str, str, NDArray[np.float6
 
 
 def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
-    """Probability density of finite values in units of their rms, (bins,)."""
+    """Return the probability density of values / rms, (bins,); 0 if the rms is 0 or NaN."""
     if not rms > 0:
         return np.zeros(_BIN_EDGES.size - 1)
     counts, _ = np.histogram(values / rms, _BIN_EDGES)
@@ -306,7 +320,10 @@ def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
 
 
 def store_pair_statistics(prepared: PreparedRun, path: Path) -> None:
-    """Write the errors of pairs into a complete cube, unless they are there for its present state."""
+    """Write the result of `pair_statistics` into the store of a complete cube.
+
+    Nothing is done if the store has those of its present state, or if no step can be measured.
+    """
     group = open_group(path)
     state = state_of(group)
     stored = read_pair_statistics(path)

@@ -91,7 +91,11 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
 
 def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> None:
-    """Link the folder of an existing cube under the hash of its recipe, and make it the latest."""
+    """Link the folder of an existing cube as the recipe run last, named after the hash of its recipe.
+
+    ``place`` is the folder of the run, and ``data`` the content of the catalog, to which the hash is added.
+    Does nothing if ``cube`` is not a cube.
+    """
     from wavefield.store.read import is_cube, open_group
 
     if not is_cube(cube):
@@ -107,7 +111,11 @@ def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> N
 
 
 def _options(catalog: Path, data: Mapping[str, Any], parameter: str) -> list[str]:
-    """The list of options of a parameter; changing it changes the catalog."""
+    """Return the list of allowed values of a parameter of a catalog.
+
+    It is part of ``data``, the content of the catalog: appending to it changes the catalog. Raises
+    ExperimentError if there is none.
+    """
     try:
         options: list[str] = data["user_parameters"][parameter]["options"]
         return options
@@ -119,7 +127,7 @@ def _options(catalog: Path, data: Mapping[str, Any], parameter: str) -> list[str
 
 
 def _template(stem: str) -> str:
-    """Text of a catalog without runs, for a file of the name ``stem``."""
+    """Return the text of a catalog without runs, for a catalog file of the name ``stem``."""
     text = Path(__file__).with_name("new_catalog.yaml").read_text(encoding="utf-8")
     return text.partition("\n")[2].replace("STEM", json.dumps(stem)[1:-1])  # without its first comment
 
@@ -215,7 +223,10 @@ def run_catalog(
 
 
 def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
-    """Names of a catalog's runs, or the given ``entries`` if the catalog has them."""
+    """Return the names of all runs of a catalog, or the given ``entries``.
+
+    Raises ExperimentError if an entry is not in the catalog, or if the catalog has no runs.
+    """
     path = Path(catalog).absolute()
     options = read_yaml(path).get("user_parameters", {}).get("run", {}).get("options", [])
     unknown = [name for name in entries if name not in options]
@@ -231,7 +242,7 @@ def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
 
 
 def _refuse_names(catalog: Path, runs: Sequence[str]) -> None:
-    """Refuse names of runs that lead out of the catalog's folder."""
+    """Raise ExperimentError if the name of a run would lead out of the catalog's folder."""
     try:
         for run in runs:
             safe_name(str(run))
@@ -240,7 +251,10 @@ def _refuse_names(catalog: Path, runs: Sequence[str]) -> None:
 
 
 def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experiment":
-    """The experiment of the run ``chosen["run"]``, with its images in ``chosen["location"]`` if given."""
+    """Read the experiment of a run of a catalog.
+
+    ``chosen["run"]`` is the name of the run; ``chosen["location"]``, if given, is the folder of its images.
+    """
     from wavefield.series import Experiment
 
     place = _folder(catalog, chosen)
@@ -248,12 +262,18 @@ def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experime
 
 
 def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
-    """Path of the cube of a run: of the recipe run last, unless ``chosen`` has a ``recipe``."""
+    """Return the path of the cube of the run ``chosen["run"]``; the cube may not exist.
+
+    ``chosen["recipe"]`` is the hash of a recipe; by default the recipe that was run last.
+    """
     return _folder(catalog, chosen) / chosen.get("recipe", "latest") / "cube.zarr"
 
 
 def _folder(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
-    """Folder of the run ``chosen["run"]``; refuses unknown parameters."""
+    """Return the folder of the run ``chosen["run"]`` in a catalog.
+
+    Raises ExperimentError if ``chosen`` has a key other than `run`, `recipe` and `location`.
+    """
     unknown = [name for name in chosen if name not in _PARAMETERS]
     if unknown:
         raise ExperimentError(f"{catalog} has no parameter {unknown[0]!r}; it has {', '.join(_PARAMETERS)}")
@@ -261,14 +281,17 @@ def _folder(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
 
 
 def _named(progress: "ProgressFunction | None", run: str) -> "ProgressFunction | None":
-    """A progress function that puts the name of the run before each sentence."""
+    """Return a progress function that puts the name of the run before each sentence; None for None."""
     if progress is None:
         return None
     return lambda done, total, sentence: progress(done, total, f"{run}: {sentence}" if sentence else run)
 
 
 def find_cube(catalog: str | Path, run: str | None = None) -> Path:
-    """Path of the latest cube of a run; without a name, of the only run that has one."""
+    """Return the path of the latest cube of a run; without ``run``, of the only run that has one.
+
+    Raises ExperimentError if there is no cube, or if several runs have one and ``run`` is not given.
+    """
     path = Path(catalog).absolute()
     cubes = {name: cube_of(path, {"run": name}) for name in runs_of(path, () if run is None else [run])}
     existing = {name: cube for name, cube in cubes.items() if cube.exists()}
@@ -283,7 +306,7 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
 
 
 def _new_cube(catalog: Path, run: str, recipe: str) -> Path:
-    """Return the path of the cube of a run and a recipe (its hash).
+    """Return the path for the cube of a run with a recipe, given as its hash.
 
     Also adds the hash to the values that the parameter `recipe` of the catalog may have.
     """
@@ -295,7 +318,10 @@ def _new_cube(catalog: Path, run: str, recipe: str) -> Path:
 
 
 def _link_latest(folder: Path) -> None:
-    """Point the link ``latest`` next to a recipe's folder to this folder."""
+    """Make the link ``latest``, next to the folder of a recipe, point to this folder.
+
+    Raises StoreError if the link cannot be made.
+    """
     temporary = folder.with_name(f".latest.{os.getpid()}")
     try:
         temporary.unlink(missing_ok=True)
@@ -314,7 +340,10 @@ def _link_latest(folder: Path) -> None:
 
 @contextmanager
 def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
-    """Lock a catalog, yield its content for changes, and write it back; comments are kept."""
+    """Lock a catalog, yield its content for changes, and write it back with its comments.
+
+    A catalog that does not exist is created.
+    """
     editor = YAML()
     editor.preserve_quotes, editor.width = True, 110
     folder = catalog.with_suffix("")
@@ -334,7 +363,10 @@ def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
 
 
 def _quoted(text: str) -> str:
-    """Quote a text unless it is a plain word that YAML reads as text; the hash 795126e3 would be a number."""
+    """Return a text in quotes, unless it is a plain word that YAML reads as text.
+
+    The hash 795126e3, for example, would be read as a number.
+    """
     quoted: str = SingleQuotedScalarString(text)
     try:
         float(text)

@@ -65,7 +65,7 @@ TRIAL_STEPS = 4  # steps that `check` measures
 
 @dataclass(frozen=True)
 class Cost:
-    """Time, memory and disk space that a run will need, extrapolated from a few measured steps."""
+    """Time, memory and disk space that a run will need, estimated from a few measured steps."""
 
     step_seconds: float  # Time per step on one worker, s
     workers: int  # Number of workers
@@ -84,16 +84,19 @@ class Cost:
 
 @dataclass(frozen=True)
 class Trial:
-    """A few measured steps in the middle of a record."""
+    """A few steps in the middle of a record that `check` measured, and the cost of the run."""
 
-    prepared: PreparedRun  # The run, with spectra and noise learned from these steps
+    prepared: PreparedRun  # The run, with spectra and noise learned from the first of these steps
     start: int  # First of these steps
     fields: Mapping[str, NDArray[Any]]  # (n, ny, nx): Measured variables
     cost: Cost  # Estimate for the whole run
 
 
 def measure_some(prepared: PreparedRun) -> Trial:
-    """Measure a few steps in the middle of the record, and extrapolate the cost to the whole run."""
+    """Measure a few steps in the middle of the record, and estimate the cost of the whole run.
+
+    Raises ExperimentError if none of these steps can be measured.
+    """
     start = whole_step(prepared.series)
     stop = min(start + TRIAL_STEPS, prepared.steps)
     learned = learn_from(samples(prepared.series, [start]), prepared.geometry, prepared.experiment.frame_rate)
@@ -121,18 +124,21 @@ def measure_some(prepared: PreparedRun) -> Trial:
 
 
 def _stored_bytes(fields: Mapping[str, np.ndarray]) -> int:
-    """Size in bytes of measured fields when compressed as in the store."""
+    """Return the size of measured fields in bytes, when compressed as in the store."""
     codec = numcodecs.Blosc(**COMPRESSION, shuffle=numcodecs.Blosc.SHUFFLE)
     return sum(len(codec.encode(np.ascontiguousarray(values))) for values in fields.values())
 
 
 def spell_size(count: float) -> str:
-    """A number of bytes as text."""
+    """Return a number of bytes as text, in MB or GB."""
     return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
 
 
 def whole_step(series: Mapping[str, FrameSeries]) -> int:
-    """The step nearest to the middle of the record whose two frames exist in every camera."""
+    """Return the step nearest to the middle of the record whose two frames exist in every camera.
+
+    Raises ExperimentError if there is no such step.
+    """
     complete = complete_steps(series)
     steps = np.flatnonzero(complete)
     if steps.size == 0:
@@ -193,7 +199,8 @@ class Check:
     problems : tuple of str
         Reasons why a run cannot start.
     verdict : Verdict or None
-        Remarks on frames, cameras, rig, grid and probes; None if there are none.
+        Remarks on frames, cameras, rig, grid and probes. None if there are none and the images of the
+        cameras could not be compared.
     motion, heights, clocks : str
         Sentences on the displacement of the water between frames, the range of elevations, and the delays
         between cameras; empty if unknown.
@@ -217,13 +224,16 @@ class Check:
 
     @property
     def exit_status(self) -> int:
-        """Exit status of the command: 1 if a run cannot start, 3 if there are remarks (not notes), else 0."""
+        """Exit status of the command `wavefield check`.
+
+        It is 1 if a run cannot start, 3 if there are remarks that are not mere notes, and else 0.
+        """
         if self.problems:
             return 1
         return self.verdict.exit_status if self.verdict else 0
 
     def to_dict(self) -> dict[str, object]:
-        """The result as plain data, as printed by ``--json``."""
+        """The result as plain data, which `wavefield check --json` prints."""
         return asdict(self) | {
             "path": str(self.path),
             "first_frame": self.first_frame,
@@ -243,7 +253,7 @@ class Check:
 
     @property
     def line(self) -> str:
-        """The verdict in one line."""
+        """The verdict in one line of text."""
         return "not ready" if self.problems else self.verdict.line if self.verdict else ""
 
     def __str__(self) -> str:
@@ -374,14 +384,14 @@ def check(
 
 
 def _synchrony(trial: Trial) -> Synchrony:
-    """Delays between cameras, at the frames between the trial steps."""
+    """Return the delays between cameras, measured at the frames between the trial steps."""
     fields = {name: (("time", "y", "x"), trial.fields[name]) for name in ("u", "v", "w", "quality")}
     cube, first = xr.Dataset(fields), trial.start
     return measure_synchrony(trial.prepared, cube, range(first + 1, first + cube.sizes["time"]), first)
 
 
 def _remark_on_disk(cost: Cost) -> Remark:
-    """Remark on a disk with less free space than the run needs."""
+    """Return the remark that a disk has less free space than the run needs."""
     return Remark(
         "disk",
         "disk space",
@@ -394,7 +404,7 @@ def _remark_on_disk(cost: Cost) -> Remark:
 
 
 def _summary(series: FrameSeries, found: FrameInspection) -> CameraCheck:
-    """Summary of one camera's frames."""
+    """Return the summary of one camera's frames: their number, size, type and faults."""
     rows, columns = series.shape
     faults = {FrameFault.MISSING: tuple(int(n) for n in series.missing)}
     for fault in FAULTS:

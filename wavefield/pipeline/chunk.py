@@ -22,24 +22,24 @@ if TYPE_CHECKING:
 
 
 class Source(Protocol):
-    """Frames of one camera: a `FrameSeries`, or an array of images."""
+    """Frames of one camera: a `FrameSeries`, or images in an array. An index counts from 0."""
 
     def __len__(self) -> int: ...
 
     def read(self, index: int) -> Frame:
-        """Read one frame."""
+        """Read the frame of an index: its image, or None and its fault."""
         ...
 
     def covered(self, index: int) -> np.ndarray | None:
-        """Mask of a frame (row, column), True where masked; None if there is none."""
+        """Return the mask of a frame (row, column), True where masked; None if there is none."""
         ...
 
     def place(self, index: int) -> str:
-        """Name of a frame for messages."""
+        """Return the name of a frame, for messages."""
         ...
 
     def window(self, start: int, stop: int) -> "Source":
-        """The frames from start to stop (excluded)."""
+        """Return the frames from start to stop (excluded), as a source."""
         ...
 
 
@@ -74,7 +74,11 @@ class Measured:
 def make_chunk(
     sources: Mapping[str, Source], start: int, stop: int, departures: np.ndarray | None = None
 ) -> Chunk:
-    """The chunk of steps start to stop (excluded); sources and departures are those of the whole record."""
+    """Return the chunk of the steps from start to stop (excluded), with the frames that it needs.
+
+    ``sources`` and ``departures`` (frames,) are those of the whole record. A departure is the lateness of a
+    frame relative to even times, in frame intervals.
+    """
     first = max(start - AROUND - 1, 0)
     windows = {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}
     if departures is not None:
@@ -83,7 +87,10 @@ def make_chunk(
 
 
 def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> Frame:
-    """Read a frame, and mark it as repeated if it equals the image ``before``, which is read unless given."""
+    """Read a frame, and mark it as repeated if it equals the image of the frame before it.
+
+    ``before`` is that image; it is read from the source if it is not given.
+    """
     frame = source.read(index)
     if frame.image is not None and index:
         before = source.read(index - 1).image if before is None else before
@@ -94,7 +101,11 @@ def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> 
 
 
 class ChunkFrames(Sequence[np.ndarray | None]):
-    """The n + 5 frames of one camera in a chunk, read on demand; only the last few stay in memory."""
+    """The images of one camera in a chunk of n steps: n + 5 frames, or None for a bad or missing one.
+
+    They are read on demand, and only the last few stay in memory. ``faults`` and ``messages`` describe the
+    bad frames that were read, by index in the record.
+    """
 
     _KEEP = 2 * AROUND + 2  # frames that one step uses
 
@@ -131,7 +142,7 @@ class ChunkFrames(Sequence[np.ndarray | None]):
 
 
 class ChunkMasks(Sequence[np.ndarray | None]):
-    """Masks of the n + 5 frames of one camera in a chunk."""
+    """The masks of one camera in a chunk of n steps, for n + 5 frames; None for a frame without one."""
 
     def __init__(self, source: Source, chunk: Chunk) -> None:
         self._source, self._chunk = source, chunk
@@ -151,7 +162,11 @@ def measure_chunk(
     model: "Model | None" = None,
     terms: bool = False,
 ) -> Measured:
-    """Measure all steps of a chunk; ``terms`` adds the terms of the standard uncertainties to the fields."""
+    """Measure all steps of a chunk.
+
+    ``geometry`` and ``model`` hold the rig, grid and settings, and what was learned from the record. With
+    ``terms``, the terms of the standard uncertainties are added to the fields.
+    """
     from wavefield.measurement.stabilize import steady
     from wavefield.measurement.step import measure
 
@@ -170,7 +185,10 @@ def measure_chunk(
 def _find_dim_frames(
     frames: Mapping[str, ChunkFrames], status: np.ndarray, chunk: Chunk, geometry: "GridGeometry"
 ) -> None:
-    """Mark nearly blank frames in steps that were not fully measured."""
+    """Add nearly blank images to the faults of ``frames``.
+
+    Only the two frames of each step that was not fully measured are examined.
+    """
     from wavefield.measurement.images import usable
 
     suspicious = np.flatnonzero(status != FrameStatus.DONE)
@@ -191,7 +209,10 @@ def _find_high_water(
     chunk: Chunk,
     geometry: "GridGeometry",
 ) -> None:
-    """Mark frames in which the water reaches a limit of the elevations that are searched."""
+    """Mark steps in which the elevation z (n, ny, nx) reaches a limit of the searched range.
+
+    Adds the fault to the first frame of the step in the reference camera, and changes ``status`` of the step.
+    """
     from wavefield.measurement.search_range import at_border
 
     for step in np.flatnonzero(status != FrameStatus.FAILED).tolist():
@@ -215,7 +236,7 @@ class Report:
 
 @dataclass(frozen=True)
 class Work:
-    """The task of a worker: measure one chunk and write it."""
+    """Task of a worker: measure a chunk and write it to the store."""
 
     store: Path  # Store of the cube
     geometry: "GridGeometry"  # Pickled as rig, grid and settings, and computed once per process
@@ -223,7 +244,7 @@ class Work:
     frame_rate: float  # Hz
 
     def __call__(self, chunk: Chunk) -> Report:
-        """Measure and write."""
+        """Measure a chunk, write it to the store, and return a summary."""
         measured = measure_chunk(chunk, self.geometry, self.frame_rate, self.model)
         write_chunk(self.store, chunk.start, measured.fields, measured.frame_status, measured.faults)
         failed = int(np.count_nonzero(measured.frame_status == FrameStatus.FAILED))

@@ -41,7 +41,7 @@ SEARCHED_STEPS = 2  # sample steps from which search ranges are found
 
 @dataclass(frozen=True)
 class ArraySource:
-    """Images of one camera in an xarray variable, in memory or lazy."""
+    """Images of one camera in an xarray variable, in memory or lazy, read one by one."""
 
     camera: str  # Name of the camera
     variable: xr.Variable  # (time, row, column)
@@ -51,22 +51,22 @@ class ArraySource:
         return int(self.variable.shape[0])
 
     def read(self, index: int) -> Frame:
-        """Read one frame; a blank image counts as bad."""
+        """Read the frame of an index; a blank image counts as bad."""
         return check_content(np.asarray(self.variable[index].values), self.place(index))
 
     def place(self, index: int) -> str:
-        """Name of a frame for messages."""
+        """Return the name of a frame, for messages."""
         return f"{self.camera} frame {index}"
 
     def covered(self, index: int) -> np.ndarray | None:
-        """Mask of a frame (row, column), True where masked; None if there is none."""
+        """Return the mask of a frame (row, column), True where masked; None if there is none."""
         if self.mask is None:
             return None
         mask = self.mask[index] if self.mask.ndim == 3 else self.mask
         return np.asarray(mask.values, bool)
 
     def window(self, start: int, stop: int) -> "ArraySource":
-        """The frames from start to stop (excluded)."""
+        """Return the frames from start to stop (excluded), as a source."""
         part = slice(max(start, 0), stop)
         mask = self.mask[part] if self.mask is not None and self.mask.ndim == 3 else self.mask
         return replace(self, variable=self.variable[part], mask=mask)
@@ -207,7 +207,7 @@ def reconstruct(
 
 
 def _grid_of(given: Mapping[str, Any]) -> Grid:
-    """A grid from a mapping of x, y and step."""
+    """Return a grid from a mapping of x, y and step; raises ExperimentError if these are wrong."""
     try:
         return Grid(**given)
     except (TypeError, IndexError) as error:
@@ -217,7 +217,11 @@ def _grid_of(given: Mapping[str, Any]) -> Grid:
 
 
 def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
-    """All variables of a chunk, as a dict in the first element of an object array (n,)."""
+    """Measure a chunk of n steps, and return its variables for one Dask block.
+
+    The block is an object array (n,), whose first element is a dict of all variables. ``known`` is the result
+    of `_Learner`.
+    """
     geometry, model = known
     measured = measure_chunk(chunk, geometry, frame_rate, model)
     out = np.empty(chunk.steps, object)
@@ -226,7 +230,10 @@ def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
 
 
 def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array:
-    """One lazy variable of the cube, from the dicts of all chunks."""
+    """Return one variable of the cube as a lazy array.
+
+    ``measured`` holds the results of `_measure` for all chunks; ``shape`` is (ny, nx).
+    """
     row = TABLE[name]
     nodes = shape if len(row.dims) == 3 else ()
     out: da.Array = da.map_blocks(
@@ -243,7 +250,10 @@ def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array
 def _gain(
     once: Mapping[str, Delayed], geometry: "GridGeometry"
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The lazy response of the measurement to waves (gain tables), and the axes of the tables."""
+    """Return the tables of the response of the measurement to waves, lazy, and the axes of the tables.
+
+    Each table is given as (dimensions, array). ``once`` holds the delayed variables without time.
+    """
     from wavefield.measurement.resolution import tabulated
 
     table = tabulated(geometry, None)
@@ -256,7 +266,7 @@ def _gain(
 
 
 def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> None:
-    """Refuse a learned record that lacks cameras."""
+    """Raise ExperimentError if a learned record lacks a camera that is used now."""
     for part, cameras in (("beads", geometry.cameras), ("displacement", geometry.velocity_cameras)):
         learned = record.get(part)
         absent = [name for name in cameras if not isinstance(learned, Mapping) or name not in learned]
@@ -268,7 +278,11 @@ def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> Non
 
 
 class _Learner:
-    """Learns search ranges and the record when first called, and returns the same afterwards."""
+    """Learns search ranges and the record at the first call, and returns the same result afterwards.
+
+    The result is the geometry and the model; the model is None if nothing could be learned. A ``record`` that
+    is given is not learned again.
+    """
 
     def __init__(
         self, geometry: "GridGeometry", frame_rate: float, record: Mapping[str, object] | None
@@ -298,7 +312,7 @@ class _Learner:
 
 
 def _from_record(known: "Known") -> dict[str, np.ndarray]:
-    """Values that do not depend on time."""
+    """Return the variables of the cube that do not depend on time, by name."""
     geometry, model = known
     record = model.record if model else None
     frames = np.asarray(record.path_frames if record else 4, np.uint8)
@@ -308,7 +322,7 @@ def _from_record(known: "Known") -> dict[str, np.ndarray]:
 def _images(
     frames: xr.DataTree | Mapping[str, xr.DataArray],
 ) -> tuple[dict[str, xr.DataArray], dict[str, xr.Variable]]:
-    """Images and masks by name of camera."""
+    """Return the images of each camera, and the masks of those that have one, by name of camera."""
     if isinstance(frames, xr.DataTree):
         nodes = {name: node.to_dataset() for name, node in frames.children.items()}
         images = {name: node["image"] for name, node in nodes.items() if "image" in node}
@@ -317,7 +331,10 @@ def _images(
 
 
 def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) -> tuple[np.ndarray, float]:
-    """Times of the frames in s, and the frame rate in Hz; refuses uneven times."""
+    """Return the times of the frames in s, and the frame rate in Hz.
+
+    Raises ExperimentError if cameras differ in their times, or if times are not evenly spaced.
+    """
     name, first = next(iter(arrays.items()))
     for other, array in arrays.items():
         if array.dims[0] != "time" or array.ndim != 3:
@@ -340,7 +357,7 @@ def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) ->
 
 
 def _check_sizes(arrays: Mapping[str, xr.DataArray], rig: Rig) -> None:
-    """Refuse images of another size than the rig's cameras."""
+    """Raise RigError if images of a camera have another size than the rig states."""
     for name, array in arrays.items():
         w, h = rig[name].size
         if array.shape[1:] != (h, w):

@@ -30,10 +30,11 @@ _MIN_MOTION_PX = 0.1  # px rms: less is noise
 def learn_record(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
-    """Learn from sample steps of a record.
+    """Choose sample steps of a record, and learn bead widths, wave spectra and noise from them.
 
-    Returns the learned record as plain data, with the sample steps as ``steps``; empty if no set of samples
-    can be measured. ``steps`` is the number of steps of the record, ``frame_rate`` is in Hz.
+    Returns the learned record as plain data, with the sample steps under the key ``steps``; empty if three
+    sets of samples cannot be measured. The argument ``steps`` is the number of steps of the record,
+    ``frame_rate`` is in Hz.
     """
     from wavefield.measurement import sample_steps
 
@@ -46,12 +47,18 @@ def learn_record(
 
 
 def samples(sources: Mapping[str, Source], steps: Sequence[int]) -> list[Mapping[str, Source]]:
-    """The two frames of each step, by camera, and the frame before them if there is one."""
+    """Return, for each step and camera, the frames that `learn_from` needs.
+
+    They are the two frames of the step, and the frame before them if there is one.
+    """
     return [{n: s.window(max(k - 1, 0), k + 2) for n, s in sources.items()} for k in steps]
 
 
 def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """First and second images of a sample step, by camera; None for a frame that is bad or repeated."""
+    """Return the first and the second images of a sample step, each by name of camera.
+
+    An image is None if its frame is bad or repeats the frame before it.
+    """
     first = {name: read_frame(source, len(source) - 2) for name, source in sample.items()}
     second = {name: read_frame(source, len(source) - 1, first[name].image) for name, source in sample.items()}
 
@@ -64,9 +71,11 @@ def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str,
 def steps_with_waves(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
 ) -> list[int]:
-    """Steps to learn from: spread over the record or, if these miss its waves, over the part with waves.
+    """Return the steps to learn from.
 
-    The energy of a step is the variance of the displacements of patches in one camera about the mean current.
+    They are spread over the record or, if these have much weaker waves than others, over the steps with
+    strong waves. The strength of a step is the variance of displacements in the images of one camera, about
+    the mean current. ``steps`` is the number of steps of the record.
     """
     from wavefield.measurement import sample_steps
 
@@ -101,7 +110,11 @@ def steps_with_waves(
 def learn_from(
     pairs: Sequence[Mapping[str, Source]], geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
-    """The record learned from sample steps, as plain data; empty if none can be measured. Rate in Hz."""
+    """Learn bead widths, wave spectra and noise from sample steps.
+
+    ``pairs`` is the result of `samples`, and ``frame_rate`` is in Hz. Returns the learned record as plain
+    data; empty if no step can be measured.
+    """
     from wavefield.measurement import learn
     from wavefield.measurement.stabilize import corrected
 
@@ -118,7 +131,11 @@ def learn_from(
 
 
 def once_per_cube(geometry: "GridGeometry", record: "LearnedRecord | None") -> dict[str, np.ndarray]:
-    """Variables without time: the response to waves (gain tables), and the uncertainty of z = 0 in m."""
+    """Return the variables of a cube without time, by name.
+
+    They are tables of the response to waves, and ``z_level_std``, the standard uncertainty of the level z =
+    0, m.
+    """
     from wavefield.measurement.error_budget import level_std
     from wavefield.measurement.resolution import tabulated
 

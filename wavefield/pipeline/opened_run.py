@@ -37,7 +37,10 @@ SAMPLE_FRAMES = 3  # frames of each camera with a checksum: first, middle and la
 
 
 def image_names(experiment: Experiment, camera: str) -> list[Any]:
-    """File names, offset and time stamps of a camera's images, as in the recipe."""
+    """Return the file names, offset and time stamps of a camera's images, as the recipe holds them.
+
+    A list of more than 20 names is replaced by its length and hash.
+    """
     section = experiment.cameras[camera]
     images: Any = section.images
     if not isinstance(images, str) and len(images) > 20:  # a long list is identified by its hash
@@ -47,7 +50,11 @@ def image_names(experiment: Experiment, camera: str) -> list[Any]:
 
 
 def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
-    """Attributes of a cube that describe its experiment; the values of the cube do not depend on them."""
+    """Return the attributes of a cube that describe its experiment, with paths relative to the store.
+
+    They are the experiment file, description, image folder and water. The measured values do not depend on
+    them.
+    """
     home, own = store.absolute().parent.resolve(), experiment.path.parent.resolve()
     out: dict[str, Any] = {"experiment_file": _relative(own / experiment.path.name, home)}
     if experiment.description:
@@ -59,7 +66,7 @@ def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
 
 
 def _relative(path: Path, home: Path) -> str:
-    """A path relative to a folder, if both are on one drive."""
+    """Return a path relative to a folder, or as it is if they are on different drives."""
     try:
         return Path(os.path.relpath(path, home)).as_posix()
     except ValueError:  # on another drive
@@ -67,18 +74,25 @@ def _relative(path: Path, home: Path) -> str:
 
 
 def _named(store: Path, attributes: Mapping[str, object], name: str) -> Path:
-    """Path in an attribute, which is relative to the folder of the store."""
+    """Return the path that the attribute ``name`` of a cube states.
+
+    It is relative to the folder of the store.
+    """
     home = store.absolute().parent.resolve()
     return Path(os.path.normpath(home / str(attributes.get(name, ""))))
 
 
 def experiment_path(store: Path, attributes: Mapping[str, object]) -> Path:
-    """Path of the experiment file that the attributes of a cube name."""
+    """Return the path of the experiment file that the attributes of a cube state."""
     return _named(store, attributes, "experiment_file")
 
 
 def load_experiment(store: Path, attributes: Mapping[str, object], given: Path | None = None) -> Experiment:
-    """Read the experiment of a cube: the given file, else that next to the cube, else the file it names."""
+    """Read the experiment of a cube: the file ``given``, or else one whose images are those of the cube.
+
+    This is the file next to the cube or, if that is missing or does not fit, the file that ``attributes``
+    state.
+    """
     named, folder = experiment_path(store, attributes), _named(store, attributes, "image_folder")
     images = folder if attributes.get("image_folder") and folder.is_dir() else None
     if given is not None:
@@ -98,7 +112,11 @@ def load_experiment(store: Path, attributes: Mapping[str, object], given: Path |
 
 
 def _check_fits(experiment: Experiment, store: Path, attributes: Mapping[str, object]) -> None:
-    """Refuse an experiment whose images have other names or another first frame than those of the cube."""
+    """Raise an error if the images of an experiment are not those of a cube.
+
+    ExperimentError is raised if they have other names, and StoreError if the first frame differs. Images that
+    have been removed are not compared.
+    """
     recipe = json.loads(str(attributes.get("recipe", "{}")))
     for camera, names in recipe.get("images", {}).items():
         if camera not in experiment.cameras or image_names(experiment, camera)[0] != names[0]:
@@ -115,7 +133,10 @@ def _check_fits(experiment: Experiment, store: Path, attributes: Mapping[str, ob
 
 
 def fingerprints(series: Mapping[str, FrameSeries]) -> dict[str, dict[str, int]]:
-    """Checksums of the grey levels of a few frames of each camera."""
+    """Return checksums of the first, middle and last image of each camera, by camera and index of frame.
+
+    Images that cannot be read are left out.
+    """
     out: dict[str, dict[str, int]] = {}
     for name, frames in series.items():
         read = {str(k): frames.read(k).image for k in from_first_to_last(len(frames), SAMPLE_FRAMES)}
@@ -194,7 +215,7 @@ class Run:
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
-        """The recipe of the cube as plain data; empty if it has none."""
+        """The recipe of the cube as plain data: settings, rig, grid, images, algorithm; empty without one."""
         found = recipe_of(self.cube.attrs)
         if not found:
             self._reasons["recipe"] = (
@@ -339,7 +360,10 @@ class Run:
         return found
 
     def _try(self, name: str, load: Callable[[], T], absent: T) -> T:
-        """The loaded value; on an error, ``absent``, and the message as the reason."""
+        """Return the result of ``load``, or ``absent`` if it raises an error.
+
+        The message of the error is kept as the reason why the part ``name`` is absent.
+        """
         try:
             return load()
         except (WavefieldError, OSError) as error:

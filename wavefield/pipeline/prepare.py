@@ -47,7 +47,11 @@ _MAX_THICKNESS_FRACTION = 0.05  # beads and light sheets, as a fraction of that 
 
 
 def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> None:
-    """Refuse cameras at distances that cannot be in metres, and cameras below the water."""
+    """Raise an error if the cameras of a rig cannot be placed as stated.
+
+    RigError is raised if their distances from the water cannot be in metres, or if z = 0 is not the water;
+    ExperimentError if a camera is below the water. ``rig_file`` is the name of the rig in messages.
+    """
     refuse_own_frame(rig, rig_file)
     distance = float(np.median(_distances(rig)))
     low, high = _CAMERA_DISTANCES
@@ -65,7 +69,11 @@ def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> 
 
 
 def refuse_own_frame(rig: Rig, rig_file: str) -> None:
-    """Refuse a rig in the coordinate system of one of its cameras, whose z = 0 is not the water."""
+    """Raise RigError if z = 0 of a rig is not the water.
+
+    This is so if the rig has no camera positions, or is in the coordinate system of one of its cameras.
+    ``rig_file`` is the name of the rig in messages.
+    """
     if rig.lenses_alone:
         raise RigError(
             f"{rig_file} contains lenses but no camera positions; for two cameras at sea, "
@@ -82,7 +90,7 @@ def refuse_own_frame(rig: Rig, rig_file: str) -> None:
 
 
 def expected_coverage(rig: Rig, grid: Grid) -> float:
-    """Fraction of the grid that all cameras see when the water is at rest."""
+    """Return the fraction of the grid that all cameras see when the water is at rest."""
     x, y = np.linspace(*grid.x), np.linspace(*grid.y)[:, None]  # 50 x 50 points are enough
     visible = np.ones((y.size, x.size), bool)
     with np.errstate(all="ignore"):  # a grid in another unit may reach behind the cameras
@@ -92,7 +100,7 @@ def expected_coverage(rig: Rig, grid: Grid) -> float:
 
 
 def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
-    """Refuse a grid that the cameras hardly see."""
+    """Raise ExperimentError if all cameras together see less than 5 % of the grid."""
     fraction = expected_coverage(rig, grid)
     if fraction >= MIN_COVERAGE:
         return
@@ -110,7 +118,11 @@ def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
 
 
 def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
-    """Refuse elevations near the cameras, and beads or light sheets too thick to be in metres."""
+    """Raise ExperimentError if a height in the settings cannot be in metres.
+
+    These are elevations, bead heights and thicknesses of light sheets, compared with the distance of the
+    nearest camera. ``source`` names the file of the settings in messages.
+    """
     distance = min(_distances(rig))
     for name, value, fraction in (
         ("z_range", settings.z_range, _MAX_ELEVATION_FRACTION),
@@ -126,7 +138,10 @@ def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
 
 
 def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
-    """Refuse a field with too few interrogation blocks for a spectrum."""
+    """Raise ExperimentError if the grid, or a camera's part of it, is too small for a wave spectrum.
+
+    It needs 21 interrogation blocks along its longer side. ``source`` names the file of the grid in messages.
+    """
     shapes = {"the grid": geometry.lattice.shape}
     shapes |= {f"the part that {name} sees": s.lattice.shape for name, s in geometry.sights.items()}
     for name, (rows, columns) in shapes.items():
@@ -138,7 +153,7 @@ def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
 
 
 def name_of_rig(experiment: Experiment, rig: str | Path | Rig | None) -> str:
-    """Name of a rig in messages: its file, or "the rig"."""
+    """Return the name of a rig in messages: its file, or "the rig" if it is given as an object."""
     if isinstance(rig, Rig):
         return "the rig"
     named = experiment.rig if rig is None else rig
@@ -148,7 +163,10 @@ def name_of_rig(experiment: Experiment, rig: str | Path | Rig | None) -> str:
 
 
 def _distances(rig: Rig) -> list[float]:
-    """Distance of each camera from the water at its image centre, or below it if that is sky; metres."""
+    """Return the distance of each camera from the water, m, along the line of sight of its image centre.
+
+    If the image centre is above the horizon, the distance is the height of the camera.
+    """
     distances = []
     for camera in rig.cameras.values():
         x, y = (float(v) for v in camera.unproject(*(0.5 * (n - 1) for n in camera.size)))
@@ -184,7 +202,7 @@ class PreparedRun:
     departures: np.ndarray | None = None
 
     def with_prior(self, record: Mapping[str, object]) -> "PreparedRun":
-        """The same run with a record learned from sample frames."""
+        """Return the same run with the record that was learned from sample frames, given as plain data."""
         from wavefield.measurement import LearnedRecord, Model
 
         model = Model(self.geometry, LearnedRecord.from_dict(record)) if record else self.model
@@ -192,7 +210,7 @@ class PreparedRun:
 
     @property
     def record(self) -> "LearnedRecord | None":
-        """The record learned from sample frames; None before learning."""
+        """What was learned from sample frames: bead widths, wave spectra, noise; None before learning."""
         return None if self.model is None else self.model.record
 
     @property
@@ -202,12 +220,12 @@ class PreparedRun:
 
     @property
     def first_frame(self) -> int:
-        """Number of the first frame of the record."""
+        """Number of the first frame of the record: its file number plus the camera's offset."""
         return next(iter(self.series.values())).first
 
     @property
     def step_bytes(self) -> int:
-        """Size of the results of one step in memory, bytes."""
+        """Size of the results of one step in memory, in bytes."""
         return int(self.geometry.x.size) * sum(np.dtype(TABLE[name].dtype).itemsize for name in CUBE_FIELDS)
 
     @property
@@ -225,10 +243,11 @@ def prepare(
     rig: str | Path | Rig | None = None,
     workflow: str | Path | Workflow | None = None,
 ) -> PreparedRun:
-    """Read and check the inputs of a run.
+    """Read and check the inputs of a run; writes nothing.
 
-    ``rig`` is used instead of the rig that the experiment names. Raises ExperimentError or RigError if a file
-    is missing or wrong, or if rig, grid or elevations cannot be in metres.
+    ``rig`` is used instead of the rig that the experiment names. Search ranges that the settings do not give
+    are estimated from sample images. Raises ExperimentError or RigError if a file is missing or wrong, or if
+    rig, grid or elevations cannot be in metres.
     """
     from wavefield.measurement import GridGeometry
     from wavefield.measurement.stabilize import refuse_unless_in_a_row
@@ -276,13 +295,13 @@ def prepare(
 
 
 def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
-    """Whether the settings give the search range of displacements."""
+    """Whether the settings of experiment or workflow give the search range of displacements."""
     given = (source.settings.get("piv") for source in (experiment, workflow))
     return any(isinstance(piv, Mapping) and {"search_x", "search_y"} & set(piv) for piv in given)
 
 
 class _SampleImages:
-    """Images of sample steps, filtered as for matching."""
+    """Images of sample steps, filtered as the matching does; those of the sample steps are kept."""
 
     def __init__(self, series: Mapping[str, FrameSeries], geometry: "GridGeometry") -> None:
         self.series, self.geometry = series, geometry
@@ -293,7 +312,7 @@ class _SampleImages:
         self._shared: dict[tuple[str, int], np.ndarray | None] = {}
 
     def read(self, name: str, frame: int) -> np.ndarray | None:
-        """Filtered image of a camera; None if it is missing or bad."""
+        """Return a filtered image of the camera ``name``; None if it is missing or bad."""
         if frame not in self.steps:
             return self._read(name, frame)
         if (name, frame) not in self._shared:
@@ -314,7 +333,10 @@ class _SampleImages:
 def load_files(
     experiment: str | Path | Experiment, workflow: str | Path | Workflow | None
 ) -> tuple[Experiment, Workflow]:
-    """The experiment and the workflow, read from their files unless they are given as objects."""
+    """Return the experiment and the workflow, read from their files unless they are given as objects.
+
+    Without a workflow, the default workflow is returned.
+    """
     if not isinstance(experiment, Experiment):
         experiment = Experiment.load(experiment)
     if not isinstance(workflow, Workflow):
@@ -325,7 +347,10 @@ def load_files(
 def make_recipe(
     experiment: Experiment, series: Mapping[str, FrameSeries], geometry: "GridGeometry", packing: str
 ) -> Recipe:
-    """The recipe of a run: everything that determines the values of the cube."""
+    """Return the recipe of a run: everything that determines the values of the cube.
+
+    ``packing`` is the type of the stored values, "float32" or "int16".
+    """
     one = next(iter(series.values()))
     return Recipe(
         experiment=experiment.name,
@@ -343,7 +368,10 @@ def make_recipe(
 
 
 def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
-    """Measurement settings: defaults, then those of the experiment, then those of the workflow."""
+    """Return the settings of the measurement.
+
+    Settings of the workflow take precedence over settings of the experiment, and these over the defaults.
+    """
     from wavefield.measurement.settings import Settings
 
     for source in (experiment, workflow):  # checked one by one, so that errors name the right file
@@ -363,9 +391,11 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
 
 
 def choose_chunk_steps(steps: int, workers: int, step_bytes: int, memory: int | None) -> int:
-    """Steps per chunk: at most `MAX_CHUNK_STEPS`, few enough for memory, and shared evenly by the workers.
+    """Return the number of steps per chunk.
 
-    ``step_bytes`` is the size of the results of a step, ``memory`` that of a worker, bytes.
+    It is at most `MAX_CHUNK_STEPS`, small enough for memory, and divides the steps evenly between the
+    workers. ``step_bytes`` is the size of the results of one step, and ``memory`` the memory of a worker,
+    bytes.
     """
     # half of the memory is for the results: as measured, stacked and compressed, with some reserve
     fitting = int((memory or 1_500_000_000) // 2 // (4 * step_bytes))

@@ -145,7 +145,8 @@ def process(
 ) -> Status:
     """Create the store or resume it, measure all chunks that are left, and assess the cube.
 
-    ``lock`` holds the store; ``map_unordered`` runs tasks on the workers and yields each with its result.
+    ``lock`` is the lock on the store, which the caller holds. ``map_unordered(work, chunks)`` runs the tasks
+    on workers, and yields each chunk with its result or error. Raises RunStopped if the run is interrupted.
     """
     path = lock.store
     with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
@@ -185,7 +186,7 @@ def process(
 
 
 def _how_far(path: Path) -> str:
-    """How many steps are done, for the message of a stopped run."""
+    """Return words on how many steps are done, for the message of a stopped run."""
     if not path.exists():
         return " before it began"
     now = status(path)
@@ -193,7 +194,10 @@ def _how_far(path: Path) -> str:
 
 
 def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, StoreLayout]:
-    """Check and open a store, or learn the record and create one; returns the run with its record."""
+    """Open the store of a run if it exists and fits, or else learn the record and create the store.
+
+    Returns the run with what was learned from its record, and the layout of the store.
+    """
     if path.exists():
         group = open_group(path)
         check_recipe(path, group.attrs, prepared.recipe)
@@ -226,9 +230,10 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
 
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
-    """Chunks (start, stop) to measure: not done, without files, or with bad frames that are readable now.
+    """Return the chunks to measure, as (start, stop) in steps.
 
-    Marks chunks that were done before as not done.
+    They are chunks that are not done, whose files are missing, or that had bad frames which are readable now.
+    Chunks that were done before are marked as not started in the store.
     """
     from wavefield.measurement.images import usable
 
@@ -260,7 +265,11 @@ def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries
 def _work_off(
     prepared: PreparedRun, lock: Lock, todo: Sequence[Chunk], map_unordered: MapFunction, tracker: "_Tracker"
 ) -> None:
-    """Measure chunks on the workers; raises StoreError after the last one if some failed."""
+    """Measure chunks on the workers, and count them in ``tracker``.
+
+    A WavefieldError of a chunk is raised at once. After any other errors, StoreError is raised at the end, or
+    as soon as three chunks have failed and none has succeeded.
+    """
     path = lock.store
     work = Work(path, prepared.geometry, prepared.model, prepared.experiment.frame_rate)
     failures: list[tuple[Chunk, BaseException]] = []
@@ -291,7 +300,7 @@ def _work_off(
 
 
 class _Tracker:
-    """Counts steps and reports progress to the log and to the user."""
+    """Counts measured steps, and reports progress to the log and to the user's function."""
 
     def __init__(self, total: int, done: int, progress: ProgressFunction | None) -> None:
         self.total, self.done, self._progress = total, done, progress
@@ -302,7 +311,7 @@ class _Tracker:
         self._since = time.monotonic()
 
     def add(self, steps: int) -> None:
-        """Add measured steps, and report the time left."""
+        """Count steps that were measured, and report the time left."""
         self.done += steps
         now = time.monotonic()
         left = (now - self._since) / (self.done - self._before) * (self.total - self.done)
@@ -314,7 +323,7 @@ class _Tracker:
             self._progress(self.done, self.total, sentence)
 
     def report(self, sentence: str) -> None:
-        """Report a stage of the run."""
+        """Report a stage of the run, such as "assessing the cube"."""
         log.info("%s", sentence)
         if self._progress:
             self._progress(self.done, self.total, sentence)

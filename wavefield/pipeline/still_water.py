@@ -24,11 +24,11 @@ def level_at_rest(
     frames: int = FRAMES,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Rig, RigCheck, WaterPlane]:
-    """Correct and level a rig with a record of still, seeded water.
+    """Correct a rig and level it, so that z = 0 is the water, with a record of still, seeded water.
 
-    Returns the corrected rig with z = 0 at the water, a check of whether its sight lines met before, and the
-    plane of the water before levelling. ``experiment`` is that of the still-water record; so many of its
-    ``frames`` are matched; ``progress`` is called with the number of frames done and the number of all.
+    Returns the corrected rig; a check of how well sight lines of its cameras met before; and the plane of the
+    water before levelling. ``experiment`` describes the still-water record, of which ``frames`` frames are
+    matched. ``progress`` is called with the number of frames done and of all frames.
     """
     from wavefield.calibration.still_water import refine_and_level
     from wavefield.measurement.pair import matched_pixels
@@ -45,7 +45,7 @@ def level_at_rest(
 
 
 def plane_sentence(plane: WaterPlane) -> str:
-    """Height, slope and scatter of the water's plane in words."""
+    """Return a sentence on the height, slope and scatter of the plane of the water."""
     return (
         f"The water's plane: {1e3 * plane.height:+.3f} mm at the origin, slope {1e3 * plane.slope[0]:+.3f}, "
         f"{1e3 * plane.slope[1]:+.3f} mrad along x, y; rms about it {1e3 * plane.rms:.3f} mm."
