@@ -45,9 +45,12 @@ def segments_of(dof: float) -> float:
 def packet_correlation(
     ky: Array, kx: Array, omega: Array, water: tuple[float, float], current: tuple[float, float], dof: float
 ) -> Array:
-    """Variance of a mean over segments for free waves, relative to that for white noise, (ky, kx).
-    A slow wave packet stays in the rectangle for several segments, which are then correlated. `water` holds
-    the depth, m, and surface tension over density, m3/s2; current in m/s.
+    """Return the factor, (ky, kx), by which free waves raise the variance of a mean over segments.
+
+    A slow wave packet stays in the rectangle for several segments, which are then correlated. The factor is
+    relative to white noise and at least 1. `ky`, `kx` and `omega` are the axes of the spectrum, rad/m and
+    rad/s. `water` holds the depth, m, and the surface tension over density, m3/s2; `current` is in m/s; `dof`
+    are the degrees of freedom of a cell, from which the number of segments follows.
     """
     k = np.maximum(np.hypot(ky[:, None], kx), 1e-9)
     speed = group_velocity(k, *water) / k
@@ -60,9 +63,11 @@ def packet_correlation(
 
 
 def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
-    """Covariances of the energies of sectors, (sectors, sectors).
-    From the fraction of each cell in each sector, (sectors, cells), and the energies (lines, ky, kx) of cells
-    with `dof` degrees of freedom. Neighbouring cells and lines are correlated, and sectors share cells.
+    """Return the covariances of the energies of sectors of direction, (sectors, sectors).
+
+    `shares` (sectors, cells) is the fraction of each cell of the k plane in each sector. `energy` (lines, ky,
+    kx) is the spectrum, with `dof` degrees of freedom in each cell. Neighbouring cells and lines are
+    correlated by the Hann windows, and sectors share cells.
     """
     lines, ny, nx = energy.shape
     reach = min(2, lines - 1)
@@ -83,7 +88,11 @@ def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
 
 
 def sector_freedom(levels: Array, covariances: Array) -> Array:
-    """Degrees of freedom of each sector's fraction of the total energy, (sectors,)."""
+    """Return the degrees of freedom of each sector's fraction of the total energy, (sectors,).
+
+    `levels` (sectors,) are the energies of the sectors, and `covariances` (sectors, sectors) their
+    covariances.
+    """
     total = max(levels.sum(), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
@@ -91,7 +100,11 @@ def sector_freedom(levels: Array, covariances: Array) -> Array:
 
 
 def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[float, float]:
-    """Standard uncertainties of the first harmonic of D(theta), along and across the mean direction."""
+    """Return the standard uncertainties of the first harmonic of D(theta) along and across its direction.
+
+    The harmonic is the mean of exp(i theta) weighted by the energies `levels` of sectors at the directions
+    `theta`, rad, both (sectors,). `covariances` (sectors, sectors) are the covariances of these energies.
+    """
     total = max(levels.sum(), 1e-300)
     turned = np.exp(1j * theta)
     first = (levels * turned).sum() / total
@@ -106,8 +119,10 @@ LOWEST_HZ = 0.5  # chosen: below it, the elevation integrated from w is mostly d
 
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
-    """Spectrum in the frame of the water, E(k, omega + k . U), on some lines, (lines, ky, kx).
-    Values between lines are interpolated linearly. The current U is in m/s.
+    """Return E(k, omega + k . U), the spectrum in the frame of the water, (lines, ky, kx).
+
+    `density` is E(omega, ky, kx), `lines` are the indices of the wanted frequencies, and U is the `current`,
+    m/s. Values between two frequencies are interpolated linearly; above the highest frequency they are zero.
     """
     values = density.values
     if not any(current):
@@ -132,7 +147,7 @@ def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, fl
 
 
 class _RingSectors:
-    """Division of the cells of the k plane between sectors of direction, by area."""
+    """Division of the cells (ky, kx) of a ring of |k| between `count` sectors of direction, by area."""
 
     def __init__(self, ky: Array, kx: Array, count: int) -> None:
         n = rings.SUPERSAMPLING
@@ -151,7 +166,12 @@ class _RingSectors:
         self.place = (sector * self.cells + cell).ravel()[by_radius]  # in (sectors, cells)
 
     def shares(self, centre: float, half: float) -> tuple[Array, Array]:
-        """Fraction of each cell in each sector, (sectors, cells), and sampled part of sectors, (sectors,)."""
+        """Return the fraction of each cell in each sector of a ring, and the sampled fraction of each sector.
+
+        The ring extends from `centre` - `half` to `centre` + `half`, rad/m. The first result is (sectors,
+        cells). The second is (sectors,): the fraction of the area of a sector of the ring that lies in the k
+        plane.
+        """
         first = np.searchsorted(self.radius, centre - half, "right")
         ring = slice(first, np.searchsorted(self.radius, centre + half, "left"))
         parts = np.bincount(self.place[ring], minlength=self.count * self.cells)
@@ -173,8 +193,8 @@ def directions(
     Parameters
     ----------
     density : DataArray or Dataset
-        A cube, whose elevation is integrated from w; or a spectrum E(omega, ky, kx), the result of
-        `spectrum`, or a field over (time, y, x), whose own spectrum is used.
+        A cube: then the elevation is integrated from its w. Or a spectrum E(omega, ky, kx), a result of
+        `spectrum`, or a field over (time, y, x): then the spectrum of this quantity is used unchanged.
     frequency : sequence of float, optional
         Middles of the frequency bands in the frame of the water, Hz. A band is 0.1 Hz wide, or one line of
         the spectrum if that is wider. By default all bands that segment and grid resolve.
@@ -189,15 +209,15 @@ def directions(
     -------
     Dataset
         Over (frequency, theta), with theta the direction of propagation in 24 sectors: ``D``, the
-        directional density in 1/rad, whose integral over theta is 1; its degrees of freedom ``dof``; ``low``
-        and ``high``, which times D are the limits of the 95 % interval. These three are NaN for a spectrum
-        E without its variable ``dof``.
+        directional density in 1/rad, with an integral over theta of 1; its degrees of freedom ``dof``;
+        ``low`` and ``high``, the limits of the 95 % interval as factors of D.
         Over frequency: ``energy``, the spectrum of the waves per Hz; ``direction`` and ``spread``, the mean
         direction and directional spread, rad, with standard uncertainties ``direction_std`` and
         ``spread_std``; ``r1`` and ``r2``, the moduli of the first two harmonics of D; ``isotropy``, 1 less
         the larger of r1 and r2 (1 for an isotropic sea, 0 for a single direction).
-        All but ``energy`` are NaN at frequencies that the grid does not resolve, or whose waves are below
-        three times the noise.
+        All of these but ``energy`` are NaN at frequencies that the grid does not resolve, or with waves below
+        three times the noise. ``dof``, ``low``, ``high`` and both standard uncertainties are NaN if the
+        spectrum is given without its variable ``dof``.
         ``efth`` (freq, dir), the same spectrum in the convention of oceanography: per Hz and degree, with
         ``dir`` the direction that waves come from, in degrees clockwise from the y axis. After ``import
         wavespectra`` the result has the accessor ``.spec``.
@@ -206,7 +226,7 @@ def directions(
     ------
     CubeError
         If a frequency exceeds the Nyquist frequency, the spectrum resolves none, or the current is not given
-        and its fit is refused.
+        and `fit_dispersion` fails.
 
     Notes
     -----
@@ -250,8 +270,11 @@ def directions(
 def elevation_density(
     density: xr.DataArray, current: tuple[float, float], frames: int, water: tuple[float, float]
 ) -> xr.DataArray:
-    """E(omega, ky, kx) of the elevation, from that of w and the current, m/s.
-    w is integrated at the frequency in the frame of the water, omega - k . U.
+    """Return E(omega, ky, kx) of the elevation, from the spectrum `density` of w.
+
+    w is integrated at the frequency in the frame of the water, omega - k . U, with the `current` U in m/s.
+    `frames` is the number of frames per velocity, as in `elevation_from_w`. `water` holds the depth, m, and
+    the surface tension over density, m3/s2. The result is zero at omega = 0.
     """
     omega, ky, kx = np.meshgrid(
         *(density[name] for name in ("omega", "ky", "kx")), indexing="ij", sparse=True
@@ -264,7 +287,11 @@ def elevation_density(
 
 
 def resolved_frequencies(density: xr.DataArray, depth: float, gamma: float) -> Array:
-    """Frequencies, Hz, that the segment and the grid of a spectrum resolve."""
+    """Return the middles of the frequency bands, Hz, that segment and grid of E(omega, ky, kx) resolve.
+
+    They begin at 0.5 Hz, or at three lines of the spectrum, and are 0.1 Hz or one line apart. `depth` is in
+    m, and `gamma` is the surface tension over density, m3/s2.
+    """
     lines = density["omega"].values / (2 * np.pi)
     shortest = dispersion(SHORTEST_WAVES * _largest_k(density), depth, gamma) / (2 * np.pi)
     return np.arange(max(LOWEST_HZ, 3 * lines[1]), min(shortest, 0.9 * lines[-1]), max(STEP_HZ, lines[1]))
@@ -278,7 +305,12 @@ def _largest_k(density: xr.DataArray) -> float:
 def above_noise(
     density: xr.DataArray, found: xr.Dataset, water: tuple[float, float], current: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """Whether the grid resolves the waves of each frequency and their energy exceeds the noise threefold."""
+    """Return a mask (frequency,): true where the grid resolves the waves and they exceed the noise.
+
+    `density` is E(omega, ky, kx). `found` has the coordinate ``frequency``, in the frame of the water, Hz.
+    Energy is summed near the dispersion relation, and must exceed three times the noise summed there. `water`
+    holds the depth, m, and the surface tension over density, m3/s2; `current` is in m/s.
+    """
     spectrum = PlaneSpectrum.of(density, water)
     frequency = found["frequency"].values
     centres = wavenumber(2 * np.pi * frequency, *water)
@@ -297,7 +329,10 @@ def above_noise(
 
 
 def oceanographic(found: xr.Dataset) -> xr.DataArray:
-    """Spectrum per Hz and degree, over the direction that waves come from, clockwise from the y axis."""
+    """Return ``efth`` (freq, dir), the spectrum per Hz and degree, from a result of `directions`.
+
+    ``dir`` is the direction that waves come from, in degrees clockwise from the y axis.
+    """
     compass = (270 - np.degrees(found["theta"].values)) % 360
     order = np.argsort(compass)
     energy = (found["energy"] * found["D"] * np.pi / 180).values[:, order]
@@ -317,7 +352,12 @@ def _directions(
     current: tuple[float, float],
     dof: float | None,
 ) -> xr.Dataset:
-    """As `directions`, for E(omega, ky, kx) with `dof` degrees of freedom per cell (None: unknown)."""
+    """Return the result of `directions` for E(omega, ky, kx) with `dof` degrees of freedom in each cell.
+
+    If `dof` is None, uncertainties are NaN. `frequency` holds the middles of the bands, Hz; `water` the
+    depth, m, and the surface tension over density, m3/s2; `current` is in m/s. Raise CubeError if there is no
+    frequency or the spectrum ends below one.
+    """
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
     if not frequency.size:
@@ -362,7 +402,12 @@ def _label(
     cells: tuple[float, float],
     stds: Array,
 ) -> xr.Dataset:
-    """Directional density, harmonics, spread and uncertainties from the energies of sectors."""
+    """Return the directional density, harmonics, spread and uncertainties from energies of sectors.
+
+    `frequency`, Hz, and the wavenumbers `centres`, rad/m, of free waves are (frequency,). The energies
+    `levels` and their degrees of freedom `degrees` are (frequency, sectors). `cells` are the sides of a cell
+    along ky and kx, rad/m. `stds` (2, frequency) are the results of `harmonic_stds`.
+    """
     sectors = levels.shape[1]
     width = 2 * np.pi / sectors
     theta = (np.arange(sectors) + 0.5) * width
@@ -405,7 +450,11 @@ def _label(
 def direction_group(
     density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch
 ) -> xr.Dataset | Noted:
-    """Group `direction` of an analysis: as `directions`, for all frequencies that can be resolved."""
+    """Return the group `direction` of `analyze`: the result of `directions` at all resolved frequencies.
+
+    `density` is E(omega, ky, kx) of w. The variables dof, low and high are renamed to dof_D, low_D and
+    high_D. If the current is not known, ``efth`` is left out and a note says so.
+    """
     water = depth, gamma
     elevation = elevation_density(density, used.velocity, welch.frames, water)
     frequency = resolved_frequencies(density, *water)

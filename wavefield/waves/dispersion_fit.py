@@ -41,8 +41,10 @@ BAND_WIDTH = 0.5  # Hz, chosen: width of the bands in which the points are compa
 
 
 def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Array], Array]:
-    """Function that returns the misfits in omega, in standard deviations, (points,), for a current.
-    The slope of the relation for the current `around` converts errors in k to errors in omega.
+    """Return a function of the current (2,), m/s, that gives the misfit of each point, (points,).
+
+    The misfit is the omega of the dispersion relation less the measured omega, in standard deviations. The
+    slope of the relation on the current `around` (2,), m/s, converts the uncertainty of k to one of omega.
     """
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
     free, speed = dispersion(points.k, *water), group_velocity(points.k, *water)
@@ -52,20 +54,28 @@ def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Ar
 
 
 def _outlier_limit(misfit: Array) -> float:
-    """Misfit beyond which points get less weight, from the median misfit."""
+    """Return the absolute misfit beyond which points get less weight: three robust standard deviations.
+
+    The standard deviation follows from the median of the absolute `misfit` (points,).
+    """
     return OUTLIER_STDS * max(float(np.median(np.abs(misfit))) / 0.6745, 1e-9)
 
 
 def solve(points: RelationPoints, water: Water, start: Array) -> Array:
-    """Current, (2,), m/s, by a robust least-squares fit to the points."""
+    """Return the current, (2,), m/s, by a robust least-squares fit to the points.
+
+    The fit starts from the current `start` (2,), m/s.
+    """
     misfit = _misfit(points, water, start)
     result = least_squares(misfit, start, loss="soft_l1", f_scale=_outlier_limit(misfit(start)))
     return np.asarray(result.x)
 
 
 def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array:
-    """Covariance (2, 2) of the current, from the misfits; NaN if the points do not determine it.
-    Neighbouring points have common errors, so half of them count as independent.
+    """Return the covariance (2, 2) of a fitted current, (m/s)^2; NaN if points do not determine it.
+
+    It follows from the misfits of the points. Neighbouring points have common errors, so half of the points
+    count as independent.
     """
     misfit = _misfit(points, water, current)
     residual = misfit(current)
@@ -80,7 +90,10 @@ def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array
 
 
 def distance_from_relation(points: RelationPoints, water: Water, current: Array) -> Array:
-    """Distance in k of the points from the relation on a current, rad/m, to first order."""
+    """Return the k of each point less the k of the relation, (points,), rad/m, to first order.
+
+    The relation is that of waves on a `current` (2,), m/s, at the omega of the point.
+    """
     along = points.along(current)
     speed = group_velocity(points.k, *water)
     model = dispersion(points.k, *water) + points.k * along
@@ -88,7 +101,11 @@ def distance_from_relation(points: RelationPoints, water: Water, current: Array)
 
 
 def against_theory(points: RelationPoints, water: Water, current: Array) -> dict[str, Any]:
-    """``ridge_error`` (band): weighted mean of (k - k_theory) / k in bands of ``band_frequency``, Hz."""
+    """Return the variables ``ridge_error`` and ``band_frequency`` of `fit_dispersion`, both over bands.
+
+    ``ridge_error`` is the weighted mean of (k - k_theory) / k of the points in each band, with k_theory on
+    the `current`. ``band_frequency`` is the middle of the band, Hz.
+    """
     distance = distance_from_relation(points, water, current)
     band = np.floor(points.omega / (2 * np.pi) / BAND_WIDTH)
     numbers, inverse = np.unique(band, return_inverse=True)
@@ -116,9 +133,9 @@ def fit_dispersion(
     Parameters
     ----------
     density : DataArray or Dataset
-        Spectrum E(omega, ky, kx), best of w; or the result of `spectrum`, a field over (time, y, x), or a
-        cube, of which the spectrum of w is computed. To restrict the fit to a band, give
-        ``E.sel(omega=slice(lowest, highest))``. Waves longer than two fifths of the shorter side of the
+        Spectrum E(omega, ky, kx), best of w; or a result of `spectrum`; or a field over (time, y, x); or a
+        cube. The spectrum of a field, or of w of a cube, is computed first. To restrict the fit to a band,
+        give ``E.sel(omega=slice(lowest, highest))``. Waves longer than two fifths of the shorter side of the
         rectangle are never used.
     depth : float
         Depth of the water, m; by default that of the cube, or deep. It is not fitted, because waves this
@@ -132,7 +149,8 @@ def fit_dispersion(
         ``current_x``, ``current_y`` (m/s) and their standard uncertainties ``_std``; ``ridge_k`` (rad/m),
         ``ridge_omega`` (rad/s) and ``ridge_angle`` (rad), the measured points of the relation, (point);
         ``ridge_fraction``, the fraction of the variance near the relation; ``ridge_error`` (band), the mean
-        relative difference of k from the theory with the fitted current, in bands of ``band_frequency``, Hz;
+        relative difference of the measured k from the k of the relation on the fitted current, in frequency
+        bands 0.5 Hz wide; ``band_frequency`` (band), the middles of these bands, Hz;
         ``depth``, m.
 
     Raises
@@ -219,12 +237,15 @@ def fit_dispersion(
 
 
 def _between(limits: tuple[float, float]) -> str:
-    """Describe two frequencies, rad/s, in Hz, for messages."""
+    """Return the words "between ... and ... Hz", for messages, from two frequencies in rad/s."""
     return f"between {limits[0] / (2 * np.pi):.2g} and {limits[1] / (2 * np.pi):.2g} Hz"
 
 
 def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> RelationPoints:
-    """Return the points; raise CubeError if they are too few for a fit."""
+    """Return the points; raise CubeError if there are fewer than six.
+
+    The message names the `limits` of the band, rad/s.
+    """
     if len(points) < MIN_POINTS:
         raise CubeError(f"no dispersion relation was found {_between(limits)}: choose a longer segment")
     return points
@@ -233,7 +254,11 @@ def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> Relation
 def _check_fit(
     spectrum: PlaneSpectrum, points: RelationPoints, fit: Array, limits: tuple[float, float]
 ) -> float:
-    """Contrast of the fitted relation; raises CubeError if the fit does not describe the waves."""
+    """Return the `contrast` of the fitted relation; raise CubeError if the fit is poor.
+
+    It is poor if the points are more than 10 % of k (rms) away from the relation, or if the contrast is below
+    1.5. `fit` is the current, m/s, and `limits` the lowest and highest omega of the band, rad/s.
+    """
     between = _between(limits)
     best = f"{fit[0]:.2f}, {fit[1]:.2f} m/s"
     # windows spread a wave over more than a cell of the k plane: for long waves, that is not an error
@@ -257,7 +282,10 @@ def _check_fit(
 
 
 def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
-    """Raise CubeError if the standard uncertainty of the current, m/s, is too large."""
+    """Raise CubeError if `std`, the standard uncertainty of the current, exceeds 0.012 m/s or is NaN.
+
+    The message names the `limits` of the band, rad/s.
+    """
     if std <= MAX_CURRENT_STD:
         return
     reason = f"determine the current to {std:.2f} m/s only"
@@ -267,7 +295,12 @@ def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
 
 
 def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float) -> xr.Dataset:
-    """Dispersion relation of still water over k, rad/m, with the fit, or the reason why it was refused."""
+    """Return the result of `fit_dispersion` with ``omega_theory`` (k), the relation in still water.
+
+    If the fit fails, the result has only ``omega_theory``, and the attribute ``refused`` holds the message.
+    `density` is E(omega, ky, kx), `k` is in rad/m, `depth` in m, and `gamma` is the surface tension over
+    density.
+    """
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
         out = fit_dispersion(density, depth, gamma=gamma)
@@ -277,12 +310,15 @@ def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float
 
 
 def _dispersion_fit(density: xr.DataArray, welch: Welch, depth: float, gamma: float) -> xr.Dataset:
-    """As `dispersion_group`, from the inputs of an analysis."""
+    """Return the result of `dispersion_group` at the wavenumbers of an analysis.
+
+    `density` is the spectrum E(omega, ky, kx) of w.
+    """
     return dispersion_group(density, welch.table.k, depth, gamma)
 
 
 def _dispersion(fit: xr.Dataset) -> xr.Dataset | Noted:
-    """Group `dispersion` of an analysis, with a note if the fit was refused."""
+    """Return the group `dispersion` of `analyze`; if `fit_dispersion` failed, with a note that says why."""
     if "refused" not in fit.attrs:
         return fit
     return Noted(fit, [f"The dispersion relation was not fitted: {fit.attrs['refused']}."])

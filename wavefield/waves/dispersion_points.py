@@ -29,12 +29,12 @@ RING_CELLS = 1.5  # chosen: width, in cells, of the rings in which the noise is 
 
 @dataclass(frozen=True)
 class WavenumberPlane:
-    """Cells of the k plane, as one-dimensional arrays."""
+    """Cells of the k plane, with kx, ky, k and angle as arrays (cells,)."""
 
     kx: Array  # (cells,), rad/m
     ky: Array
-    k: Array
-    angle: Array
+    k: Array  # modulus
+    angle: Array  # of k, counted from the x axis, rad
     cell: float  # larger side of a cell, rad/m
     spread: float  # variance of k by which the window broadens a single wave, (rad/m)^2
     nyquist: float  # smaller Nyquist wavenumber of the two axes, rad/m
@@ -66,20 +66,26 @@ class PlaneSpectrum:
 
     @classmethod
     def of(cls, density: xr.DataArray, water: Water) -> "PlaneSpectrum":
-        """Return a spectrum E(omega, ky, kx) with its estimated noise."""
+        """Return a spectrum E(omega, ky, kx) with its estimated noise.
+
+        `water` holds the depth, m, and the surface tension over density, m3/s2.
+        """
         omega, plane = density["omega"].values, WavenumberPlane.of(density)
         energy = density.values.reshape(omega.size, -1)
         least = np.float32(LEAST_NOISE * energy.mean(dtype=float))
         return cls(omega, energy, np.maximum(noise_level(energy, plane), least), plane, water)
 
     def on_lines(self, chosen: Array) -> "PlaneSpectrum":
-        """Return the spectrum on some lines."""
+        """Return the spectrum at some frequencies; `chosen` is a boolean array (lines,)."""
         return replace(self, omega=self.omega[chosen], energy=self.energy[chosen], noise=self.noise[chosen])
 
 
 def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
-    """Noise of a spectrum, (lines, cells), as a function of omega times a function of |k|.
-    Noise is independent in time and correlated over a matching window in space, so its spectrum factorises.
+    """Return the noise of a spectrum, (lines, cells): a function of omega times a function of |k|.
+
+    `energy` (lines, cells) is the spectrum. Noise is independent in time and correlated over a matching
+    window in space, so its spectrum factorises. The function of omega is the median of the cells above 0.8 of
+    the Nyquist wavenumber, where waves are weak.
     """
     outer = plane.k > SHORTEST_WAVES * plane.nyquist
     if not outer.any():
@@ -98,8 +104,10 @@ def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
 
 
 def _mean_of_noise(values: Array) -> float:
-    """Mean of chi-squared values that contain some larger ones (waves): median + variance / (3 mean).
-    The variance comes from the lower quartile, which waves do not change.
+    """Return the mean of noise from `values` of which some contain waves; 0 if the median is 0.
+
+    The noise follows a chi-squared distribution, so its mean is about median + variance / (3 median). The
+    variance comes from the median and the lower quartile, which waves hardly change.
     """
     low, middle = np.quantile(values, [0.25, 0.5])
     std = (middle - low) / 0.6745
@@ -114,8 +122,10 @@ VOTING_SECTORS = 2 * SECTORS  # finer, because single cells vote
 
 
 def scan_current(spectrum: PlaneSpectrum) -> Array:
-    """Current (2,), to 0.02 m/s, whose dispersion relation contains the most energy, by a Hough transform.
-    Each cell votes for the current along its k, (omega - sigma(k)) / k or (omega + sigma(k)) / k.
+    """Return the current (2,), to 0.02 m/s, with the dispersion relation that contains the most energy.
+
+    This is a Hough transform: each cell votes for the component of the current along its k, which is (omega -
+    sigma(k)) / k or (omega + sigma(k)) / k. Of currents with nearly as many votes, the slowest is taken.
     """
     plane, omega = spectrum.plane, spectrum.omega
     used = plane.k > MIN_CELLS_FROM_ZERO * plane.cell
@@ -151,7 +161,10 @@ def scan_current(spectrum: PlaneSpectrum) -> Array:
 
 
 def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
-    """Whether a point is within two cells in k and two lines in omega of the relation, (lines, cells)."""
+    """Return a mask (lines, cells): true near the dispersion relation on a current.
+
+    Near means within the distance in omega that corresponds to two cells in k and two lines in omega.
+    """
     omega, plane = spectrum.omega, spectrum.plane
     free = dispersion(plane.k, *spectrum.water) + current[0] * plane.kx + current[1] * plane.ky
     slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), *spectrum.water))
@@ -161,7 +174,11 @@ def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
 
 
 def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
-    """Energy near the relation over that expected from the energy of the same cells at other lines."""
+    """Return the ratio of the energy near the relation on a current to the energy expected of noise.
+
+    The expected energy is the mean energy of the same cells at other frequencies. Only the frequencies of
+    `lines`, a boolean array (lines,), are used. White noise gives about 1.
+    """
     near = _near_relation(spectrum, current)[lines]
     near[:, spectrum.plane.k < MIN_CELLS_FROM_ZERO * spectrum.plane.cell] = False
     energy = spectrum.energy[lines]
@@ -175,7 +192,7 @@ def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
 
 
 def fraction(spectrum: PlaneSpectrum, current: Array) -> float:
-    """Fraction of the energy near the relation."""
+    """Return the fraction of the energy that is near the relation on a current; NaN if there is no energy."""
     near = _near_relation(spectrum, current)
     total = float(spectrum.energy.sum(dtype=float))
     return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
@@ -187,7 +204,11 @@ FLOOR = 1e-9  # chosen: cells with less energy, relative to the strongest, have 
 
 
 def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
-    """Spectrum (lines, cells) of simulated free waves of the measured energy, as Hann windows broaden it."""
+    """Return the spectrum (lines, cells) of simulated free waves, broadened by Hann windows.
+
+    The waves lie on the relation on `current` and have the measured energy above the noise. The function
+    finds the energies of four waves per cell by deconvolution.
+    """
     near, ky, kx = _near_relation(spectrum, current), *spectrum.plane.axes
     shape = spectrum.omega.size, ky.size, kx.size
 
@@ -245,12 +266,15 @@ MAX_DISPLACEMENT = 0.3  # chosen, in cells of k: points that are displaced furth
 
 @dataclass(frozen=True)
 class RelationPoints:
-    """Centroids in k, one per line and sector; all arrays are (points,)."""
+    """Measured points of the dispersion relation: centroids in k, at most one per frequency and sector.
+
+    All arrays are (points,).
+    """
 
     omega: Array  # rad/s
     k: Array  # rad/m
-    angle: Array
-    energy: Array  # above the noise
+    angle: Array  # of k, counted from the x axis, rad
+    energy: Array  # above the noise, in the window of the centroid
     key: Array  # unique number of the line and sector
     k_std: Array  # rad/m
     signal_to_noise: Array
@@ -270,14 +294,14 @@ class RelationPoints:
 class Sector:
     """Cells of the k plane near one direction, sorted by k."""
 
-    theta: float
-    cells: Array  # of the plane
-    k: Array
+    theta: float  # direction of its middle, rad
+    cells: Array  # their indices in the plane
+    k: Array  # of the cells, rad/m
     heading: Array  # (2, cells), cosine and sine of the angle
 
 
 def sectors_of(plane: WavenumberPlane, count: int) -> list[Sector]:
-    """Cut the k plane into sectors of equal width."""
+    """Return `count` sectors of equal width, the first around the direction of kx, each with its cells."""
     out = []
     half_width = np.pi / count
     by_k = np.argsort(plane.k, kind="stable")
@@ -290,7 +314,11 @@ def sectors_of(plane: WavenumberPlane, count: int) -> list[Sector]:
 
 
 def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) -> RelationPoints:
-    """Centroids in k of the energy above the noise, in a window around the relation on a current."""
+    """Return the centroids in k of the energy above the noise, for each frequency and sector.
+
+    The centroid is computed in a window around the dispersion relation on `current`. Windows with too few
+    cells or a signal-to-noise ratio below 1, and centroids outside the window, give no point.
+    """
     plane, omega, water = spectrum.plane, spectrum.omega, spectrum.water
     k_table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
     free = dispersion(k_table, *water)
@@ -337,8 +365,11 @@ def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) ->
 
 
 def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:
-    """Wavenumber of each line on the relation omega = free(k) + k along; NaN if the current blocks it.
-    Against a current, omega grows with k only while the group velocity `speed` exceeds the current.
+    """Return the k of each frequency on the relation omega = free(k) + k along, (lines,), rad/m.
+
+    `along` is the component of the current along k, m/s. `free` and the group velocity `speed` are values for
+    still water at the wavenumbers `k`. Against a current, omega grows with k only while `speed` exceeds the
+    current; k is NaN at frequencies that the current blocks.
     """
     doppler = free + k * along
     blocked = speed + along < MIN_SPEED_ON_CURRENT * speed
@@ -349,7 +380,7 @@ def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: flo
 
 
 def _strongest_sector(points: RelationPoints) -> Array:
-    """Energy of the strongest sector on each point's line and its two neighbours, (points,)."""
+    """Return the energy of the strongest sector at or next to the frequency of each point, (points,)."""
     if not len(points):
         return points.energy
     _, line = np.unique(points.omega, return_inverse=True)
@@ -360,7 +391,7 @@ def _strongest_sector(points: RelationPoints) -> Array:
 
 @dataclass(frozen=True)
 class WindowDisplacement:
-    """Displacement of the centroids by the spectral windows."""
+    """Displacement in k of the centroids by the Hann windows of the spectrum; arrays are (points,)."""
 
     key: Array  # as in `RelationPoints`
     k: Array  # displacement, rad/m
@@ -373,8 +404,10 @@ class WindowDisplacement:
         sectors: list[Sector],
         current: Array,
     ) -> "WindowDisplacement":
-        """Measure the displacement on simulated free waves, on the lines of `band` (lines,), a boolean array.
-        Points with a large displacement are left out: they are beyond the end of the sea, in leakage alone.
+        """Return the displacement, measured on simulated free waves on the relation on `current`.
+
+        Only the frequencies of `band`, a boolean array (lines,), are used. Points with a large displacement
+        are left out: they are beyond the end of the sea, in leakage alone.
         """
         free_waves = windowed_waves(spectrum, current)[band]
         simulated = replace(
@@ -388,7 +421,11 @@ class WindowDisplacement:
         return cls(points.key[near], displacement[near])
 
     def removed_from(self, points: RelationPoints, part: float = 1.0) -> RelationPoints:
-        """Subtract `part` of the displacement from the points; leaves out points without a displacement."""
+        """Return the points with `part` (1: all) of the displacement subtracted from their k.
+
+        Points without a measured displacement are left out. The uncertainty ``k_std`` grows by 0.3 of the
+        displacement, in quadrature.
+        """
         _, measured, simulated = np.intersect1d(points.key, self.key, assume_unique=True, return_indices=True)
         points, displacement = points[measured], self.k[simulated]
         k_std = np.hypot(points.k_std, LEAKAGE_ERROR * displacement)
