@@ -160,7 +160,8 @@ def session_server(session: LookSession, port: int | None = None) -> PageServer:
 class ServedPage:
     """A page that a notebook can show in a frame, because its server runs in its own thread.
 
-    `make` returns the server, and is called in that thread. Errors of `make` are raised here.
+    The function `make` returns the server; it is called in that thread. An error in `make` is raised when the
+    page is created.
     """
 
     def __init__(self, make: Callable[[], PageServer]) -> None:

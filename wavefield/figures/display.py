@@ -66,8 +66,8 @@ class Display:
     def limits(self, values: NDArray[np.floating]) -> tuple[float, float]:
         """Return the lower and upper end of the colour scale for values in the displayed unit, to two digits.
 
-        The upper end is the 99.5 % quantile of |values|. The lower end is its negative for a signed variable.
-        For others it is zero, or their smallest values if these exceed half of the upper end.
+        The upper end is the 99.5 % quantile of |values|. For a signed variable the lower end is the negative
+        of the upper end. For others it is zero, or the 0.5 % quantile if that exceeds half of the upper end.
         """
         half = float(f"{limit(values):.2g}")
         if self.signed:

@@ -62,7 +62,9 @@ def coverage_map(cube: xr.Dataset) -> Figure:
 
 
 def fault_history(cube: xr.Dataset) -> Figure:
-    """Draw over time the fraction of visible nodes that were measured, filled or rejected, and the status.
+    """Draw over time which fraction of the visible nodes was measured, filled or rejected.
+
+    A second panel shows the status of each step.
 
     Parameters
     ----------
@@ -163,9 +165,9 @@ def _draw_gaussian(axes: Axes, sigma: float, mean: float, span: float) -> None:
 
 
 def _displacements(cube: xr.Dataset, factor: float) -> dict[str, np.ndarray]:
-    """Return the displacements in one step times a factor, (time, y, x), by "u", "v" and "w".
+    """Return the displacements in one step, (time, y, x), m, times a factor, by the keys "u", "v" and "w".
 
-    `cube` has velocities in m/s and the attribute frame_rate, Hz.
+    `cube` has the velocities u, v, w in m/s and the attribute frame_rate, Hz.
     """
     rate = float(cube.attrs["frame_rate"])
     return {name: factor / rate * cube[name].values.astype(float) for name in _DISPLACEMENTS}

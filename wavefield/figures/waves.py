@@ -128,7 +128,7 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
 
 
 def _radius(dispersion: xr.Dataset | None, omega: float) -> float | None:
-    """Return the wavenumber of the waves of `omega`, rad/s, in cycles per metre; None if it is unknown."""
+    """Return the wavenumber of linear waves at `omega`, rad/s, in cycles per metre; None if unknown."""
     if dispersion is None or "omega_theory" not in dispersion:
         return None
     theory = dispersion.omega_theory.values
@@ -295,14 +295,17 @@ def probe_series(compared: xr.Dataset) -> Figure:
 def _draw_above(
     ax: Axes, x: np.ndarray, y: np.ndarray, values: np.ndarray, level: np.ndarray | float, label: str
 ) -> None:
-    """Draw a coherence (y, x) in colour where it exceeds a level, grey elsewhere."""
+    """Draw `values`, a coherence (ny, nx), in colour where it exceeds `level`, and in grey elsewhere.
+
+    x (nx,) and y (ny,) are the coordinates of the values. `label` is that of the colour bar.
+    """
     ax.set_facecolor("0.92")
     above = np.where(values > level, values, np.nan)
     draw_cells(ax, x, y, above, label, norm=Normalize(0, 1), cmap=POSITIVE, extend="neither")
 
 
 def bicoherence_map(higher_order: xr.Dataset) -> Figure:
-    """Draw bicoherence and tricoherence where they exceed the level of unrelated waves.
+    """Draw bicoherence and tricoherence, in grey where waves without a relation could explain them.
 
     Parameters
     ----------

@@ -92,7 +92,7 @@ def _figures(
 ) -> Iterator[CalibrationPicture]:
     """Yield key, title and figure of the pictures of the page.
 
-    `surface` is the flat target as the rig triangulates it, if there is one.
+    `surface` holds the nodes of the flat target, triangulated with the rig, or is None without a flat target.
     """
     with suppress(RigError):  # cameras without a common field
         seen = common_field(calibration.rig.cameras.values())

@@ -50,7 +50,10 @@ def _draw_arrows(axes: Axes, pixel: Array, residual: Array, length: float, width
 
 
 def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
-    """Draw the residuals of the camera with this index: at each point, and the mean in cells of the image."""
+    """Draw two maps of the residuals of one camera: of each point, and of the mean in cells of the image.
+
+    `camera` is the index of the camera in `observations.cameras`.
+    """
     o = observations
     rows = o.camera == camera
     pixel, miss, size = o.pixel[rows], fit.residual[rows], o.sizes[camera]

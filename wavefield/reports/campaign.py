@@ -27,8 +27,8 @@ _CAPTION = "A dash: not measured, not analysed, or the record is too short"
 def compare(title: str, cubes: Sequence[tuple[str, Path]], output: str | Path) -> Path:
     """Write the page that compares the runs of a catalog, and return its path.
 
-    `cubes` are the name of each run and the path of its cube; a run whose cube does not exist is listed as
-    not run yet. `title` is the title of the page.
+    `cubes` holds the name of each run and the path of its cube. A run whose cube does not exist is listed as
+    not run yet. `output` is the path of the page.
     """
     output = Path(output)
     groups = {run: _groups(cube) for run, cube in cubes if cube.is_dir()}

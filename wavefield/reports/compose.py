@@ -108,7 +108,7 @@ def write_report(
 def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSection]]:
     """Return functions without arguments that draw the sections of the report, in order.
 
-    A report on a light sheet has no sections on waves and elevation.
+    A report on a light sheet has no sections on elevation, waves and distributions.
     """
     numbers = RunNumbers(run)
     builders: list[Callable[[], ReportSection]] = [partial(result, numbers), partial(attention, run, verdict)]

@@ -59,7 +59,7 @@ class Picture(Item):
 
 
 def small_png(png: bytes) -> bytes:
-    """Return a PNG file as one with a palette of colours, or the given file if that is smaller."""
+    """Return the picture of a PNG file as a PNG file with few colours, or the given file if it is smaller."""
     image = Image.open(io.BytesIO(png)).convert("RGB")
     buffer = io.BytesIO()
     image.quantize(_COLOURS, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)

@@ -23,8 +23,8 @@ def plan(
 ) -> xr.Dataset:
     """Predict the errors of an experiment from one simulated step of it.
 
-    Renders and measures images of the scene, and compares the fields with the exact ones, 4 cm inside the
-    edge of the grid. It takes a few seconds for a small grid.
+    Draws images of the scene, measures them, and compares the fields with the exact ones. Nodes within 4 cm of
+    the edge of the grid do not count, unless the grid is too small. Takes a few seconds for a small grid.
 
     Parameters
     ----------
@@ -40,8 +40,8 @@ def plan(
     Dataset, (quantity,)
         For z and the displacements u dt, v dt, w dt: ``error``, the rms error, and ``stated``, the rms of the
         standard uncertainty, both in px (of ``attrs["pixel_size"]`` metres); ``within``, the fraction of
-        errors within one standard uncertainty (68 % if it is right). ``measured`` is the fraction of nodes
-        that are measured.
+        errors within one standard uncertainty (68 % if it is right). ``measured`` is the fraction of the
+        counted nodes that are measured.
 
     Raises
     ------

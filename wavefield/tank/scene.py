@@ -186,8 +186,8 @@ class Scene(SceneRecord):
         Parameters
         ----------
         **parts
-            Top-level settings. A mapping changes only the settings that it names, unless its `kind` differs:
-            then it replaces the whole part.
+            New values of top-level settings. A mapping changes only the settings that it names. A mapping
+            with another `kind`, or with keys that the present part lacks, replaces the whole part.
 
         Examples
         --------

@@ -389,10 +389,11 @@ class RandomSea(_SeaSettings):
         return self
 
     def build(self, seed: int) -> Sea:
-        """Return a Gaussian sea on a square lattice of wave vectors, drawn with the seed.
+        """Return a Gaussian sea of waves on a square lattice of wave vectors; `seed` draws their amplitudes.
 
-        The density over wave vectors is S(f) (df/dk) D(theta) / k, with the spectrum S and the directional
-        distribution D; amplitudes are complex Gaussian.
+        The complex amplitudes are Gaussian. Their mean square at the wavenumber k and the direction theta is
+        proportional to S(f) (df/dk) D(theta) / k, with the frequency f, the frequency spectrum S and the
+        directional distribution D. They are scaled to the standard deviation `rms` of the elevation.
         """
         dk = 2 * np.pi / self.period
         n = int(self.period / self.shortest)

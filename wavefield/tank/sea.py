@@ -182,7 +182,10 @@ class Sea:
 
     @property
     def shortest(self) -> float:
-        """Shortest wavelength along the x or y axis, bound waves included, m; infinite without waves."""
+        """2 pi over the largest |kx| or |ky| of all waves, bound ones included, m.
+
+        It is infinite if the sea has no waves.
+        """
         top = max(self._layout.kx.max(initial=0.0), np.abs(self._layout.ky).max(initial=0.0))
         return 2 * np.pi / top if top > 0 else np.inf
 
@@ -389,9 +392,10 @@ class Snapshot:
         self._values, self._offset, self._origin, self._step = values, offset, origin, step
 
     def __call__(self, x: Array, y: Array) -> Array:
-        """Return the fields, (names, ...), at points x, y, metres, of any shape; NaN outside the basin.
+        """Return the fields at points x, y, metres, of any shape, stacked as (fields, ...).
 
-        z is in m, the slopes are pure numbers, the others in m/s.
+        They are in the order of the names given to `Basin.snapshot`, and are NaN outside the basin. z is in
+        m, the slopes are pure numbers, the others in m/s.
         """
         out = np.empty((self._values.shape[0], x.size))
         _gather(x.ravel(), y.ravel(), self._values, *self._origin, self._step, out)

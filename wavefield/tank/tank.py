@@ -102,7 +102,7 @@ class Tank:
     def beads(self, name: str, frame: int) -> BeadField | None:
         """Return the beads that the camera `name` sees in a frame; None if the surface has no beads.
 
-        A camera that is late by some frames sees an earlier state.
+        If the scene makes the camera late by some frames, they are the beads of an earlier frame.
         """
         if isinstance(self.scene.surface, (Texture, SeaSurface)):
             return None
@@ -111,7 +111,7 @@ class Tank:
     def draw(self, name: str, frame: int, beads: BeadField | None) -> GreyImage:
         """Return the image (row, column) of the camera `name` at a frame, with the faults of the camera.
 
-        `beads` is the result of the method `beads`. Several threads may call it.
+        `beads` is the result of the method `beads`. Several threads may call `draw` at once.
         """
         fault = self.scene.faults.get(name, _NO_FAULT)
         frame, source = self._frame_taken(name, frame), fault.shows or name
@@ -154,7 +154,7 @@ class Tank:
     def _rolling(self, camera: Camera, beads: BeadField, frame: int, row_time: float) -> tuple[Array, Array]:
         """Return columns and rows of beads, (n,), px, in a camera with a rolling shutter.
 
-        Each row is read `row_time`, s, after the row above it.
+        Each row is read `row_time`, s, after the row above it; the middle row is read on time.
         """
         middle = (camera.size[1] - 1) / 2
         time, half = self.frame_time(frame), row_time * middle

@@ -152,7 +152,10 @@ def _undo_offsets(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) 
 
 @compiled()
 def _step(d: float, blur: float) -> float:
-    """Return the brightness, 0 to 1, of a point d px inside a straight edge; `blur` is its std, px."""
+    """Return the brightness, 0 to 1, of a point d px inside a straight blurred edge.
+
+    d is negative outside; `blur` is the standard deviation of the blur, px.
+    """
     if d > 4.5 * blur:
         return 1.0
     if d < -4.5 * blur:
@@ -179,7 +182,10 @@ def _disc(
 
 @compiled()
 def _slopes(a: Array, i: int, j: int) -> tuple[float, float]:
-    """Return the derivatives by column and row, at pixel (i, j), of an array with a border of one pixel."""
+    """Return the derivatives by column and by row of an array at row i and column j.
+
+    The array has a border of one pixel, which i and j do not count.
+    """
     return 0.5 * (a[i + 1, j + 2] - a[i + 1, j]), 0.5 * (a[i + 2, j + 1] - a[i, j + 1])
 
 
