@@ -128,14 +128,20 @@ def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
 
 
 def keep_pixels_square(made: figure) -> None:
-    """Let the browser keep pixels square when the figure changes its size or `fit_image` gets a new shape."""
+    """Let the browser adapt the axes of a figure so that the pixels of its image stay square.
+
+    It does so when the figure changes its size, and when `fit_image` sets the size of another image.
+    """
     square = CustomJS(args={"made": made}, code=_SQUARE)
     for changed in ("inner_width", "inner_height", "tags"):
         made.js_on_change(changed, square)
 
 
 def fit_image(made: figure, shape: tuple[int, ...]) -> None:
-    """Fit the axes to an image of this shape (rows, columns), unless the figure already shows that shape."""
+    """Set the axes of a figure to the size of an image with `shape` (rows, columns).
+
+    A figure that already shows an image of this size keeps its axes, and so what the user has zoomed to.
+    """
     height, width = shape
     if made.tags != [width, height]:
         made.x_range.update(start=0, end=width, reset_start=0, reset_end=width)

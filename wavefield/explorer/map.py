@@ -140,9 +140,9 @@ class MapPanel:
         self.mark(place.node)
 
     def _name_values(self, place: Place, code: str) -> bool:
-        """Set the map's tooltip to the variable shown; `code` is the JavaScript that formats its value.
+        """Set the tooltip of the map for the variable shown, and return whether the tooltip changed.
 
-        Returns whether the tooltip changed.
+        `code` is JavaScript that formats the value of the variable.
         """
         shown = display(place.show)
         rows = [(shown.name, f"@image{{custom}} {shown.unit}"), _WHERE]

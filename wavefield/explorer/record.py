@@ -29,7 +29,7 @@ _STEPS_PER_READ = 8  # steps of a field read at once, which makes playback smoot
 
 
 def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
-    """Return stored 16-bit integers times `scale`, in the shape of `stored`; NaN where missing."""
+    """Return the values of 16-bit integers: `stored` times `scale`, or NaN where `stored` is `MISSING`."""
     values = stored.astype(np.float32) * np.float32(scale)
     values[stored == MISSING] = np.nan
     return values
@@ -41,9 +41,9 @@ def nearest(positions: NDArray[np.floating], requested: float) -> int:
 
 
 class CubeRecord:
-    """A cube, finished or not: any variable at any step, and series from a thinned copy, `preview`.
+    """A cube, finished or not, from which a page reads single steps.
 
-    Raises StoreError if there is no cube at the path.
+    Series come from a thinned copy of the cube, `preview`. Raises StoreError if there is no cube at `path`.
     """
 
     def __init__(self, path: str | Path) -> None:

@@ -23,8 +23,8 @@ def plan(
 ) -> xr.Dataset:
     """Predict the errors of an experiment from one simulated step of it.
 
-    Draws images of the scene, measures them, and compares the fields with the exact ones. Nodes within 4 cm of
-    the edge of the grid do not count, unless the grid is too small. Takes a few seconds for a small grid.
+    Draws images of the scene, measures them, and compares the fields with the exact ones. In a grid that is
+    large enough, nodes within 4 cm of the edge do not count. Takes a few seconds for a small grid.
 
     Parameters
     ----------

@@ -21,7 +21,10 @@ _KNOWN = {
 
 
 def _powers(unit: str) -> dict[str, int]:
-    """Return the power of each unit in a string such as "m s-1" or "cm/s"; raise ValueError for others."""
+    """Return the power of each unit in a string such as "m s-1" or "cm/s", by unit.
+
+    Raises ValueError if the string has another form.
+    """
     out: dict[str, int] = {}
     for token in unit.replace("/", " /").split():
         sign = -1 if token.startswith("/") else 1
@@ -151,7 +154,10 @@ def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
 
 
 def _one(array: "xr.DataArray", row: Variable) -> Any:
-    """Return an array with the dimensions and units of its row; raise CubeError if it does not fit it."""
+    """Return an array with the order of dimensions and the units that `row`, its row of the table, states.
+
+    Raises CubeError if its dimensions, type or units do not fit the row.
+    """
     if set(array.dims) != set(row.dims):
         raise CubeError(f"{row.name!r} has dimensions {array.dims}, expected {row.dims}")
     kind = np.dtype(row.dtype).kind
