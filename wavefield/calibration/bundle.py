@@ -31,7 +31,10 @@ TERMS: dict[str, tuple[str, ...]] = {
 
 
 def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
-    """A rotation (3, 3) times exp of a rotation vector (3,), R exp(v), and its derivatives (3, 3, 3) by v."""
+    """Return the rotation R exp(v) and its derivatives (3, 3, 3) with respect to the components of v.
+
+    R is `rotation` (3, 3), and v is the rotation vector `vector` (3,), rad.
+    """
     R, jacobian = cv2.Rodrigues(np.asarray(vector, float))
     derivative = np.asarray(jacobian, float).reshape(3, 3, 3)
     return rotation @ np.asarray(R, float), rotation @ derivative
@@ -39,7 +42,7 @@ def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """Position of each parameter in the vector x (p,) of the fit."""
+    """The meaning and the position of each entry of the fit's parameter vector x (p,)."""
 
     names: tuple[str, ...]  # One per parameter
     lens: tuple[tuple[tuple[int, str], ...], ...]  # Per camera: (position, lens parameter)
@@ -47,12 +50,18 @@ class ParameterLayout:
     pose: tuple[int | None, ...]  # Per pose: position of the first of the same six; None for a fixed pose
 
     def pose_step(self, p: int, x: Array) -> Array:
-        """Rotation vector and translation (6,) by which parameters x (p,) move pose p."""
+        """Return the rotation vector and the translation (6,) by which x (p,) moves the pose of index p.
+
+        They are zero for a fixed pose.
+        """
         k = self.pose[p]
         return np.zeros(6) if k is None else x[k : k + 6]
 
     def with_pose(self, name: str, free: bool) -> "ParameterLayout":
-        """The layout with one more pose, which is fixed unless it is free."""
+        """Return a copy with one more pose of the target, called `name`.
+
+        If `free` is true, the pose has six new parameters; if not, the pose is fixed.
+        """
         names = [f"{name} {part}" for part in ("R1", "R2", "R3", "x", "y", "z") if free]
         first = len(self.names) if free else None
         return replace(self, names=(*self.names, *names), pose=(*self.pose, first))
@@ -64,8 +73,10 @@ def layout(
     reference: int,
     placed: Sequence[int] = (),
 ) -> ParameterLayout:
-    """Lay out the parameters of the joint fit.
-    `models` holds the free lens terms of each camera. The pose `reference` and those in `placed` are fixed.
+    """Assign a position in the parameter vector to each unknown of the joint fit.
+
+    `models` holds the free lens terms of each camera. `reference` and `placed` are indices of poses of the
+    target that stay fixed; poses without observations are fixed too.
     """
     names: list[str] = []
     lens, camera = [], []
@@ -84,7 +95,10 @@ def layout(
 
 
 def stepped(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
-    """The geometry after a step x (p,) from a start."""
+    """Return the geometry that results if the parameters x (p,) are applied to the geometry `start`.
+
+    `plan` gives the meaning of each parameter. x = 0 leaves the geometry unchanged.
+    """
     lens, R, T = start.lens.copy(), start.R.copy(), start.T.copy()
     pose_R, pose_t = start.pose_R.copy(), start.pose_t.copy()
     for c, columns in enumerate(plan.lens):
@@ -106,7 +120,7 @@ def stepped(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
 
 
 def predict(geometry: Geometry, observations: Observations) -> Array:
-    """Pixels (n, 2) of the observed nodes, as a geometry predicts them."""
+    """Project the observed nodes with a geometry; returns their pixels (n, 2)."""
     world = geometry.world(observations)
     pixel = np.empty((len(observations), 2))
     for c, camera in enumerate(geometry.cameras(observations.sizes)):
@@ -118,8 +132,10 @@ def predict(geometry: Geometry, observations: Observations) -> Array:
 def linearised(
     start: Geometry, plan: ParameterLayout, x: Array, observations: Observations
 ) -> tuple[Array, Array, Array]:
-    """Predicted pixels (n, 2) at parameters x (p,), with their derivatives.
-    The derivatives are (n, 2, p) by the parameters and (n, 2, 3) by the nodes' offsets, px per metre.
+    """Predict the pixels of the observed nodes at the parameters x (p,), with their derivatives.
+
+    Returns pixels (n, 2), derivatives with respect to the parameters (n, 2, p), and derivatives with respect
+    to the position of the node on the target (n, 2, 3), px per metre.
     """
     o = observations
     now = stepped(start, plan, x)
@@ -164,7 +180,11 @@ def linearised(
 def covariance_to_dict(
     names: tuple[str, ...], covariance: Array, cameras: tuple[str, ...]
 ) -> dict[str, list[str] | list[list[float]]]:
-    """The cameras' part of a covariance (p, p) for the rig file: parameter names and lower triangle."""
+    """Convert the part of a covariance (p, p) that belongs to cameras to lists, for the rig file.
+
+    `names` names all parameters. The result holds the names of the cameras' parameters and the rows of the
+    lower triangle of their covariance.
+    """
     columns = [k for k, name in enumerate(names) if name.rsplit(" ", 1)[0] in cameras]
     part = covariance[np.ix_(columns, columns)]
     rows = [[float(f"{v:.12g}") for v in row[: k + 1]] for k, row in enumerate(part)]
@@ -176,9 +196,12 @@ HUBER_LIMIT = 4.0  # standard deviations beyond which the loss grows linearly; f
 
 
 class Whitener:
-    """Multiplies residuals by C^(-1/2), where C = I + target_std^2 B B^T is their covariance.
-    They are correlated because all views of a node share the error of its position on the target. B, given as
-    by_node (n, 2, 3), is the derivative of normalised pixels by the nodes' offsets, 1/m.
+    """Makes residuals uncorrelated if the nodes of the target are displaced from their nominal positions.
+
+    All views of a node share its displacement, so their residuals have the covariance C = I + target_std^2 B
+    B^T. Calling the object multiplies by C^(-1/2). B, the argument `by_node` (n, 2, 3), holds the derivatives
+    of the normalised residuals with respect to the node's position, 1/m. `node` (n,) is the node of each
+    observation, and `target_std` is in metres.
     """
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
@@ -200,12 +223,15 @@ class Whitener:
         self._gain = target_std * _blocks((axes / (1.0 + size)[:, None, :]) @ axes.transpose(0, 2, 1))
 
     def __call__(self, rows: Array) -> Array:
-        """Whitened residuals (2n,) or Jacobian (2n, p)."""
+        """Multiply residuals (2n,) or their Jacobian (2n, p) by C^(-1/2)."""
         whitened: Array = rows - self._B @ (self._half @ (self._Bt @ rows))
         return whitened
 
     def offsets(self, residual: Array) -> Array:
-        """Most probable offsets (largest node + 1, 3) of the nodes, metres, from residuals (2n,)."""
+        """Estimate the displacements of the nodes, metres, from normalised residuals (2n,).
+
+        Returns an array (largest node index + 1, 3).
+        """
         offsets: Array = (self._gain @ (self._Bt @ residual)).reshape(-1, 3)
         return offsets
 
@@ -220,7 +246,7 @@ def _blocks(matrices: Array) -> sparse.csr_array:
 
 
 def huber(r: Array, limit: float) -> float:
-    """Huber's loss of residuals: a sum of squares that grows linearly beyond the limit."""
+    """Return Huber's loss of residuals r, summed: r^2 up to `limit`, and linear in |r| beyond it."""
     size = np.abs(r)
     return float(np.sum(np.where(size <= limit, size * size, limit * (2.0 * size - limit))))
 
@@ -233,8 +259,11 @@ def minimise(
     tolerance: float,
 ) -> tuple[Array, float]:
     """Minimise Huber's loss by the method of Levenberg and Marquardt, starting at x (p,).
-    Returns the parameters (p,) and the limit of the loss, by default four robust standard deviations of the
-    residuals. Iteration ends if the predicted relative decrease is below the tolerance.
+
+    `residual` returns the residuals at x, and `with_jacobian` the residuals and their Jacobian. `limit` is
+    the residual beyond which the loss is linear; None means four robust standard deviations of the residuals.
+    The iteration ends when the predicted relative decrease of the loss is below `tolerance`, or after
+    `MAX_ITERATIONS`. Returns the parameters (p,) and the last limit.
     """
     damping = 1e-4
     diagonal = np.zeros_like(x)
@@ -270,7 +299,7 @@ def minimise(
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of a joint fit."""
+    """Result of `fit`, the joint fit of all cameras and poses."""
 
     geometry: Geometry  # Cameras, poses and node offsets
     layout: ParameterLayout  # The parameters
@@ -289,9 +318,12 @@ def fit(
     noise_scale: float | None = None,
     placed: Sequence[int] = (),
 ) -> Fit:
-    """Fit cameras and poses to all observations, with Huber's loss beyond four standard deviations.
-    `models`, `reference` and `placed` are as in `layout`. The standard deviation of the nodes' offsets is
-    `target_std`, metres. `noise_scale` is the residuals' standard deviation over the stated one, if known.
+    """Fit all cameras and all poses of the target to all observations at once (bundle adjustment).
+
+    The fit starts from the geometry `start`. `models`, `reference` and `placed` are as in `layout`.
+    `target_std` is the standard uncertainty of the nodes' positions on the target, metres. Huber's loss
+    limits the weight of residuals beyond four standard deviations. `noise_scale` is this standard deviation
+    in units of the stated uncertainty of each pixel; if it is None, the residuals give it.
     """
     o = observations
     plan = layout(o, models, reference, placed)

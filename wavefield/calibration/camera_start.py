@@ -20,21 +20,27 @@ Pose = tuple[Array, Array]  # rotation (3, 3), translation (3,), metres
 
 
 def camera_to_camera(a: Pose, b: Pose) -> Pose:
-    """Transformation from camera a's frame to camera b's, from the target's pose in each."""
+    """Return the transformation (R, t) from camera a's frame to camera b's frame.
+
+    The arguments are the poses (R, t) of the same target in the frames of camera a and camera b.
+    """
     (Ra, ta), (Rb, tb) = a, b
     R = Rb @ Ra.T
     return R, tb - R @ ta
 
 
 def mean_pose(poses: Iterable[Pose]) -> Pose:
-    """Mean pose of similar poses: the mean rotation, made orthogonal, and the median translation."""
+    """Average similar poses (R, t).
+
+    Returns the mean of the rotations, made orthogonal, and the median of the translations.
+    """
     rotations, translations = zip(*poses, strict=True)
     U, _, V = np.linalg.svd(np.mean(np.stack(rotations), axis=0))
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V, np.median(translations, axis=0)
 
 
 def angle_between(A: Array, B: Array) -> float:
-    """Angle between two orientations (3, 3), degrees."""
+    """Return the angle of the rotation that turns orientation A (3, 3) into orientation B (3, 3), degrees."""
     chord = np.linalg.norm(A - B) / np.sqrt(8.0)
     return float(np.degrees(2.0 * np.arcsin(min(chord, 1.0))))
 
@@ -46,7 +52,7 @@ START_TERMS = ("f", "c", "k1")  # lens terms of a camera calibrated alone
 
 @dataclass(frozen=True)
 class SingleCamera:
-    """One camera, calibrated from its own views."""
+    """One camera, calibrated from its own views without the other cameras."""
 
     lens: Array  # (12,): Lens in the order of `LENS`
     poses: dict[str, Pose]  # Target to camera, for each pose observed
@@ -55,8 +61,10 @@ class SingleCamera:
 
 
 def homography(plan: Array, pixel: Array) -> Array | None:
-    """Robust homography (3, 3) from the target's plane (n, 2), metres, to the image (n, 2), px.
-    None if the nodes are on a line, or fewer than half of them fit.
+    """Fit a homography (3, 3) from the target's plane to the image, without outliers.
+
+    `plan` (n, 2) are positions of the nodes on the target, metres, and `pixel` (n, 2) their pixels. Returns
+    None if there are fewer than six nodes, if all are on a line, or if fewer than half of them fit.
     """
     if len(plan) < 6 or np.linalg.matrix_rank(plan - plan.mean(0), tol=1e-9) < 2:
         return None
@@ -68,9 +76,10 @@ def homography(plan: Array, pixel: Array) -> Array | None:
 
 
 def focal_length(homographies: list[Array], centre: Array) -> float | None:
-    """Focal length, px, from homographies of a plane; None if they do not determine it.
-    The pixels are square and the principal point (2,) is known. Zhang (2000): with w = diag(u, u, 1) and
-    u = 1/f^2, h1^T w h2 = 0 and h1^T w h1 = h2^T w h2 hold for the columns of each homography.
+    """Compute the focal length, px, from homographies of a plane in several poses (Zhang 2000).
+
+    Pixels are assumed to be square, with the principal point at `centre` (2,), px. Returns None if the
+    homographies do not determine the focal length.
     """
     shift = np.eye(3)
     shift[:2, 2] = -centre
@@ -87,7 +96,10 @@ def focal_length(homographies: list[Array], centre: Array) -> float | None:
 
 
 def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
-    """A lens without distortion, as an array in the order of `LENS` (12,) and as a camera matrix (3, 3)."""
+    """Return a lens without distortion, with focal length f (px) and its principal point at mid-image.
+
+    The results are the lens terms in the order of `LENS` (12,) and the camera matrix (3, 3).
+    """
     cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
     lens = np.zeros(len(LENS))
     lens[:4] = f, f, cx, cy
@@ -95,7 +107,10 @@ def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
 
 
 def plane_pose(H: Array, K: Array) -> Pose:
-    """Pose of a plane in a camera's frame, from its homography (3, 3) and the camera matrix K (3, 3)."""
+    """Return the pose (R, t) of a plane in a camera's frame, metres.
+
+    H (3, 3) is the homography from the plane (metres) to the image, and K (3, 3) is the camera matrix.
+    """
     h = np.linalg.solve(K, H)
     h /= 0.5 * (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1]))
     if h[2, 2] < 0.0:  # the plane must be in front of the camera
@@ -106,7 +121,11 @@ def plane_pose(H: Array, K: Array) -> Pose:
 
 
 def calibrate_single(observations: Observations) -> SingleCamera:
-    """Calibrate one camera alone: Zhang's method, then a least-squares fit."""
+    """Calibrate one camera alone: compute start values, then fit its lens and the poses of the target.
+
+    Start values come from Zhang's method, or from the known positions of the nodes if there are any. Raises a
+    CalibrationError if the views do not determine the focal length.
+    """
     o = observations
     start, poses = _from_known_heights(o) if o.placed else _from_planes(o)
     g = _first_fit(o, start, poses).geometry
@@ -117,14 +136,20 @@ def calibrate_single(observations: Observations) -> SingleCamera:
 
 
 def _first_fit(o: Observations, start: Geometry, poses: list[int]) -> Fit:
-    """Fit one camera; fewer than three poses do not determine its principal point, which then stays."""
+    """Fit one camera and the poses of the target whose indices are in `poses`.
+
+    The principal point is fitted only if there are at least three poses.
+    """
     used = o.only(np.isin(o.pose, poses))
     terms = ("f", "k1") if len(poses) < 3 else START_TERMS
     return fit(used, start, [terms], poses[0], placed=o.placed)
 
 
 def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
-    """Geometry of one camera, with the first of its poses as the world."""
+    """Return the geometry of one camera from its lens (12,) and the poses of the target in its frame.
+
+    `poses` holds (R, t) by the index of the pose. The pose with the lowest index defines the world frame.
+    """
     pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
     for p, (R, t) in poses.items():
         pose_R[p], pose_t[p] = R, t
@@ -134,7 +159,11 @@ def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
 
 
 def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
-    """Start values from views of a plane in unknown poses (Zhang's method), and the poses found."""
+    """Compute start values for one camera by Zhang's method, from views of a plane in unknown poses.
+
+    Returns the geometry and the indices of the poses that were found. Raises a CalibrationError if no view
+    shows a plane, or if the views do not determine the focal length.
+    """
     (name,), (size,) = o.cameras, o.sizes
     maps: dict[int, Array] = {}
     depth: dict[int, float] = {}
@@ -168,7 +197,11 @@ def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
 
 
 def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
-    """Start values from nodes in known positions, by a search over focal lengths, and the poses found."""
+    """Compute start values for one camera from nodes with known positions in the physical frame.
+
+    The focal length is the best of 28 trial values. Returns the geometry and the indices of the poses that
+    were found. Raises a CalibrationError if the nodes are in one plane or do not fit a camera.
+    """
     (name,), (size,) = o.cameras, o.sizes
     rows = np.isin(o.pose, o.placed)
     points, pixel = o.nominal[o.node[rows]], o.pixel[rows]
@@ -210,7 +243,7 @@ def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
 
 
 def _in_frame_of_pose(geometry: Geometry, pose: int) -> Geometry:
-    """Express the geometry of one camera in the frame of one pose of the target."""
+    """Return the geometry of one camera with the target's frame in the pose of index `pose` as the world."""
     Q, o = geometry.pose_R[pose], geometry.pose_t[pose]
     return replace(
         geometry,
@@ -227,10 +260,7 @@ MAX_SHIFT = 0.4  # meshes between the same; counting from a wrong node shifts th
 
 @dataclass(frozen=True)
 class PoseConsistency:
-    """Views and cameras that found the target in another pose than the others.
-
-    `unlinked` are cameras that share no pose with another.
-    """
+    """Result of `compare_poses`: the views and cameras that contradict the others."""
 
     wrong_views: list[tuple[str, str]]  # (camera, pose) of single views that differ from all others
     wrong_cameras: list[str]  # Cameras outside the largest group of consistent ones
@@ -239,19 +269,26 @@ class PoseConsistency:
 
 @dataclass(frozen=True)
 class _Pair:
-    """Consistency of two cameras, as a whole and for each pose."""
+    """Whether two cameras agree on the poses of the target, overall and for each pose."""
 
     consistent: bool  # Whether most of their common poses agree
     good: Mapping[str, bool] = field(default_factory=dict)  # Whether each pose agrees
 
 
 def transforms_by_pose(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
-    """Transformations from camera a's frame to camera b's, one from each pose that both observed."""
+    """Return, by common pose of the target, the transformation from camera a's frame to camera b's frame.
+
+    If the cameras agree, all these transformations (R, t) are equal.
+    """
     return {pose: camera_to_camera(a.poses[pose], b.poses[pose]) for pose in a.poses if pose in b.poses}
 
 
 def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsistency:
-    """Compare the target's poses that each camera found alone; mesh in metres."""
+    """Find views and cameras that contradict the others about the poses of the target.
+
+    `cameras` holds the cameras, each calibrated alone, by name. `mesh` is the distance of the target's nodes,
+    metres. The largest group of cameras that agree with each other is taken to be right.
+    """
     names = list(cameras)
     compared = {(a, b): _compare_pair(cameras[a], cameras[b], mesh) for a, b in combinations(names, 2)}
     pairs = {names: pair for names, pair in compared.items() if pair is not None}
@@ -267,7 +304,10 @@ def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsi
 
 
 def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> _Pair | None:
-    """Consistency of two cameras; None if they share no pose."""
+    """Test whether two cameras agree on the poses of the target; None if they share no pose.
+
+    `mesh` is the distance of the target's nodes, metres.
+    """
     common = transforms_by_pose(a, b)
     if len(common) < 2:
         return _Pair(True) if common else None
@@ -285,7 +325,10 @@ def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> _Pair | None
 
 
 def _wrong_views(names: Sequence[str], pairs: Mapping[tuple[str, str], _Pair]) -> list[tuple[str, str]]:
-    """Views (camera, pose) that agree with no other camera; both views, if only two cameras saw the pose."""
+    """Return the views (camera, pose) that contradict every other camera that saw the same pose.
+
+    If only two cameras saw a pose and contradict each other, the result holds both views.
+    """
     comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): agreement with each partner
     for cameras, pair in pairs.items():
         for pose, good in pair.good.items():
@@ -301,7 +344,10 @@ def _wrong_views(names: Sequence[str], pairs: Mapping[tuple[str, str], _Pair]) -
 
 
 def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
-    """A camera and all that are linked to it, directly or through others."""
+    """Return the camera `name` and all cameras that are linked to it, directly or through other cameras.
+
+    `links` holds pairs of names of cameras that agree.
+    """
     group = [name]
     for member in group:
         partners = [b if a == member else a for a, b in links if member in (a, b)]
@@ -310,8 +356,10 @@ def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) -> Array:
-    """Displacement (3,), metres, between the target's origins by cameras a and b, across b's sight line.
-    R and t transform from camera a's frame to camera b's.
+    """Return the displacement (3,), metres, between the target's origins that cameras a and b found.
+
+    It is in b's frame, without its component along b's sight line. R and t transform from camera a's frame to
+    camera b's frame.
     """
     expected = R @ a.poses[pose][1] + t
     observed = b.poses[pose][1]
@@ -321,13 +369,17 @@ def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) 
 
 
 def mirrored(camera: SingleCamera) -> SingleCamera:
-    """The camera that images flipped from left to right would give."""
+    """Return the camera that the same images would give if they were flipped from left to right."""
     F, G = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
     return replace(camera, poses={pose: (F @ R @ G, F @ t) for pose, (R, t) in camera.poses.items()})
 
 
 def linked_cameras(cameras: Mapping[str, SingleCamera], first: str) -> dict[str, Pose]:
-    """Transformations from the first camera's frame to all others, through common poses of the target."""
+    """Return the transformation (R, t) from the frame of camera `first` to that of each camera, by name.
+
+    Cameras are linked by common poses of the target, if necessary through other cameras. Cameras without such
+    a link are left out.
+    """
     out: dict[str, Pose] = {first: (np.eye(3), np.zeros(3))}
     while True:
         rest = [b for b in cameras if b not in out]
@@ -342,7 +394,7 @@ def linked_cameras(cameras: Mapping[str, SingleCamera], first: str) -> dict[str,
 
 @dataclass(frozen=True)
 class PhysicalFrame:
-    """The poses of the target that define the physical frame."""
+    """Indices of the poses of the target that define the physical frame."""
 
     reference: int  # The pose whose axes are those of the frame
     placed: tuple[int, ...] = ()  # Poses whose nodes have known positions in the frame
@@ -350,7 +402,12 @@ class PhysicalFrame:
 
 
 def physical_frame(observations: Observations, flat: str, findings: Findings) -> PhysicalFrame:
-    """Choose the physical frame: that of placed poses or the flat one, else of the pose most cameras saw."""
+    """Choose the poses of the target that define the physical frame.
+
+    These are the poses with known positions if there are any, else the pose named `flat`, else the pose that
+    most cameras saw. In the last case z = 0 is unknown, and the function adds a problem or a note to
+    `findings`.
+    """
     o = observations
     if o.placed:
         return PhysicalFrame(o.placed[0], placed=o.placed)
@@ -372,7 +429,10 @@ def physical_frame(observations: Observations, flat: str, findings: Findings) ->
 def start_geometry(
     observations: Observations, single: Mapping[str, SingleCamera], frame: PhysicalFrame
 ) -> Geometry:
-    """Express all cameras and poses in the physical frame, from each camera's own calibration."""
+    """Compute start values of the joint fit: all cameras and poses of the target in the physical frame.
+
+    `single` holds the cameras, each calibrated alone, by name.
+    """
     o = observations
     reference = o.poses[frame.reference]
     first = max(single, key=lambda n: (reference in single[n].poses, len(single[n].poses)))

@@ -28,7 +28,7 @@ WINDOW = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3), indexing="ij")
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidate nodes: crossings of bright strings at one smoothing scale, or dots."""
+    """Points of an image that may be nodes: crossings of bright strings, or dots."""
 
     pixel: Array  # (n, 2): Positions (X, Y), px
     strength: Array  # (n,): Curvature across the weaker string, grey per px^2; of a dot its area, px^2
@@ -36,7 +36,7 @@ class Candidates:
 
     @property
     def strong(self) -> Mask:
-        """Which candidates are more than half as strong as the median of the 80 strongest."""
+        """Mask (n,): true for candidates more than half as strong as the median of the 80 strongest."""
         return self.strength > 0.5 * _typical_strength(self.strength)
 
 
@@ -45,9 +45,11 @@ def _typical_strength(strength: Array) -> float:
 
 
 def crossings(image: Image, scale: float) -> Candidates:
-    """Candidate crossings: local maxima of the weaker principal curvature of the smoothed image.
-    That curvature vanishes along a line; only crossings and blobs are curved in both directions. `scale` is
-    the standard deviation of the Gaussian, px.
+    """Find points of an image that may be crossings of bright strings.
+
+    They are local maxima of the weaker principal curvature of the smoothed image. This curvature vanishes
+    along a line; only crossings and blobs are curved in both directions. `scale` is the standard deviation of
+    the Gaussian that smooths the image, px.
     """
     r = int(np.ceil(4 * scale))
     t = np.arange(-r, r + 1)
@@ -80,7 +82,10 @@ def crossings(image: Image, scale: float) -> Candidates:
 
 @compiled()
 def _weaker_curvature(xx: Image, yy: Image, xy: Image) -> Image:
-    """Weaker principal curvature of each pixel, (row, column); positive on bright crossings and blobs."""
+    """Return the weaker principal curvature at each pixel; it is positive on bright crossings and blobs.
+
+    xx, yy and xy are the second derivatives of the image.
+    """
     half = np.float32(0.5)
     out = np.empty_like(xx)
     for i in range(xx.shape[0]):
@@ -96,7 +101,7 @@ def cross(a: Array, b: Array) -> float:
 
 
 def independent_pair(arms: Array) -> tuple[Array, Array] | None:
-    """The first two vectors of (n, 2) that are not parallel; None if all are."""
+    """Return the first two of the vectors (n, 2) that are not nearly parallel; None if all are."""
     for k, a in enumerate(arms):
         for b in arms[k + 1 :]:
             if abs(cross(a, b)) > MIN_SINE * np.hypot(*a) * np.hypot(*b):
@@ -105,25 +110,34 @@ def independent_pair(arms: Array) -> tuple[Array, Array] | None:
 
 
 def most_central(points: Array, count: int) -> list[int]:
-    """Indices of the `count` points (n, 2) that are nearest to their median."""
+    """Return the indices of the `count` points that are nearest to the median of all points (n, 2)."""
     order: list[int] = np.argsort(np.hypot(*(points - np.median(points, 0)).T))[:count].tolist()
     return order
 
 
 def around(node: Nodes, steps: Nodes) -> Nodes:
-    """Nodes (k, 2) at given steps (m, 2) from given nodes (n, 2), without duplicates."""
+    """Return all nodes (k, 2) that are one of the steps (m, 2) away from one of the nodes (n, 2).
+
+    Each node occurs once.
+    """
     return np.unique((node[:, None] + steps).reshape(-1, 2), axis=0)
 
 
 def _windows(table: Array, node: Nodes) -> Array:
-    """Entries of a table of nodes within two indices of each node, (m, 25, ...)."""
+    """Return the entries of a table within two indices of each node (m, 2), as (m, 25, ...).
+
+    Node (0, 0) is at index (REACH, REACH) of the table.
+    """
     index = node[:, None] + WINDOW + REACH
     out: Array = table[index[..., 0], index[..., 1]]
     return out
 
 
 class TargetLattice:
-    """Pixels of nodes in a square table of indices, grown from a seed: pixel (2,) and mesh vectors (2,)."""
+    """A lattice of nodes with their pixels, which grows from one node at `start` (2,), px.
+
+    `e1` and `e2` (2,) are the steps in the image, px, from this node to its neighbours along i and j.
+    """
 
     def __init__(self, start: Array, e1: Array, e2: Array) -> None:
         self.place = np.full((2 * REACH + 1, 2 * REACH + 1, 2), np.nan)  # [i + REACH, j + REACH], px
@@ -132,7 +146,7 @@ class TargetLattice:
 
     @property
     def filled(self) -> Mask:
-        """Which nodes have a position, (2 REACH + 1, 2 REACH + 1)."""
+        """Mask (2 REACH + 1, 2 REACH + 1): true for nodes whose pixel is known."""
         out: Mask = np.isfinite(self.place[..., 0])
         return out
 
@@ -141,25 +155,26 @@ class TargetLattice:
 
     @property
     def node(self) -> Nodes:
-        """Indices of the nodes, (n, 2)."""
+        """Indices (i, j) of the nodes found, (n, 2)."""
         return np.argwhere(self.filled) - REACH
 
     @property
     def pixel(self) -> Array:
-        """Pixels of the nodes, (n, 2), in the order of `node`."""
+        """Pixels of the nodes found, (n, 2), in the order of `node`."""
         out: Array = self.place[self.filled]
         return out
 
     def front(self) -> Nodes:
-        """Indices (m, 2) of empty nodes that have a filled neighbour."""
+        """Return the indices (m, 2) of the nodes that are not found yet but have a neighbour that is."""
         near = cv2.dilate(self.filled.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
         empty = np.argwhere((near > 0) & ~self.filled)
         return empty[((empty >= 2) & (empty < 2 * REACH - 1)).all(1)] - REACH
 
     def predict(self, node: Nodes) -> tuple[Array, Array]:
-        """Predict pixels (m, 2) and mesh vectors (m, 2, 2), px, from nodes within two indices.
-        The fit is a quadratic surface with weights that fall with distance. The seed's vectors are a weak
-        prior of the slopes.
+        """Predict where nodes (m, 2) are in the image, from the nodes found within two indices of them.
+
+        Returns pixels (m, 2) and mesh vectors (m, 2, 2), px. The prediction fits a quadratic surface to the
+        pixels found, with weights that fall with distance.
         """
         di, dj = WINDOW.astype(float).T
         basis = np.stack([np.ones(25), di, dj, di * dj, di * di, dj * dj], -1)
@@ -175,7 +190,10 @@ class TargetLattice:
         return fit[:, 0], fit[:, 1:3]
 
     def grow(self, candidates: Candidates, size: tuple[int, ...]) -> None:
-        """Add candidates near predicted nodes until none is left; `size` is the image's (width, height)."""
+        """Add the candidates that are near predicted nodes, until none is left to add.
+
+        `size` is the image's (width, height), px.
+        """
         tree = cKDTree(candidates.pixel)
         used = np.zeros(len(candidates.pixel) + 1, bool)
         used[-1] = True  # the tree's index for "none"
@@ -215,9 +233,11 @@ MIN_NODES_FOR_CUBIC = 40  # four times the ten coefficients of a cubic
 
 
 class SmoothMap:
-    """Robust smooth map from node indices (n, 2) to pixels (n, 2).
-    A homography gives ideal pixels; a cubic polynomial of these adds the lens distortion, because radial
-    distortion is cubic in pixels however oblique the target is. Raises a ValueError without a homography.
+    """A smooth map from node indices (n, 2) to pixels (n, 2), fitted without outliers.
+
+    A homography gives ideal pixels. A polynomial of these adds the lens distortion; it is cubic if there are
+    at least `MIN_NODES_FOR_CUBIC` nodes, and else linear. Raises a ValueError if no homography fits the
+    nodes.
     """
 
     def __init__(self, node: ArrayLike, pixel: ArrayLike) -> None:
@@ -246,7 +266,10 @@ class SmoothMap:
         self.spread = spread(self.misfit)  # px
 
     def inlier(self, std: Array | float = 0.0) -> Mask:
-        """Which nodes (n,) are not outliers, given their standard uncertainties, px."""
+        """Return a mask (n,) of the fitted nodes: true if a node is not an outlier.
+
+        `std` is the standard uncertainty of the nodes' pixels, px.
+        """
         out: Mask = self.misfit < np.maximum(OUTLIER_DEVIATIONS * np.hypot(self.spread, std), MIN_OUTLIER_PX)
         return out
 
@@ -260,19 +283,22 @@ class SmoothMap:
         return np.stack([x**a * y**b for a, b in self.powers], -1)
 
     def __call__(self, node: ArrayLike) -> Array:
-        """Pixels (n, 2) of nodes (n, 2), whose indices may be fractions."""
+        """Return the pixels (n, 2) of nodes (n, 2), whose indices may be fractions."""
         q = self._homography(np.asarray(node, float))
         out: Array = q + self._basis(q) @ self.cubic
         return out
 
     def slopes(self, node: ArrayLike) -> Array:
-        """Mesh vectors at nodes (n, 2), px, as (n, 2, 2): [:, 0] along i, [:, 1] along j."""
+        """Return the mesh vectors at nodes (n, 2), px, as (n, 2, 2): [:, 0] along i, [:, 1] along j."""
         node = np.asarray(node, float)
         return np.stack([self(node + half) - self(node - half) for half in 0.5 * np.eye(2)], 1)
 
 
 def mesh_length(node: Nodes, pixel: Array) -> float:
-    """Shortest distance between neighbouring nodes, px (first percentile)."""
+    """Return the distance in the image between neighbouring nodes where it is shortest, px.
+
+    This is the first percentile of all such distances, or 4 px if no nodes are neighbours.
+    """
     distance, near = cKDTree(node).query(node, k=5, distance_upper_bound=1.01)
     a, b = np.nonzero(np.isfinite(distance) & (distance > 0))
     if not len(a):

@@ -36,7 +36,7 @@ MAX_SWAY = 0.05  # degrees rms; it moves water at a distance of 36 m, seen from 
 
 @dataclass(frozen=True)
 class Levelled:
-    """A rig in the frame of the water's mean surface."""
+    """Result of levelling: a rig with z = 0 on the mean surface of the water, and its uncertainties."""
 
     rig: Rig  # z = 0 on the mean surface, z up
     tilt: float  # Angle by which the z axis was turned, degrees
@@ -52,7 +52,7 @@ class Levelled:
 
     @property
     def sentence(self) -> str:
-        """The result as sentences for the user."""
+        """The result in words, for the user."""
         height = spell_uncertain(self.height, self.height_std, "m")
         turned = spell_uncertain(self.tilt, self.tilt_std, "degrees")
         return (
@@ -65,7 +65,7 @@ class Levelled:
 
     @property
     def _moving(self) -> str:
-        """A sentence on the sway of the cameras; empty if they are fixed."""
+        """A clause on the roll and pitch of the cameras; empty if they are steady."""
         if not self.sway > MAX_SWAY:
             return ""
         return (
@@ -75,7 +75,7 @@ class Levelled:
 
     @property
     def _unknown(self) -> str:
-        """A sentence on unknown uncertainties; empty if all are known."""
+        """A clause that names the unknown uncertainties; empty if all are known."""
         if np.isfinite(self.height_std):
             return ""
         which = "height" if np.isfinite(self.tilt_std) else "tilt and the height"
@@ -89,11 +89,14 @@ def level_on_water(
     horizons: Mapping[str, Array] | None = None,
     distance: float | None = None,
 ) -> Levelled:
-    """Bring z = 0 to the mean surface of moving water, from matches of pairs of cameras at each instant.
+    """Bring z = 0 to the mean surface of moving water, from features that pairs of cameras match.
 
-    Points of the horizon (n, 2), px, by camera, give the vertical, unless the mean surface contradicts them.
-    If a distance between the cameras (metres) is given, the fit also refines the pose of the second camera,
-    and the origin is below the cameras. Raises a RigError if too few sight lines meet.
+    `matches` holds, for each instant and pair of cameras, the matched pixels in the first and the second
+    camera. `horizons` holds points of the horizon (n, 2), px, by camera. They give the vertical, unless the
+    mean surface contradicts them.
+
+    If the `distance` between the cameras (metres) is given, the fit also refines the pose of the second
+    camera, and the origin is below the cameras. Raises a RigError if too few sight lines meet.
     """
     none = np.empty((0, 3))
     surfaces = [
@@ -156,7 +159,11 @@ def _best_fit(
     horizons: Mapping[str, Array],
     distance: float | None,
 ) -> tuple[PlatformFit, tuple[float, float], str]:
-    """The fit, the uncertainties of tilt (degrees) and height (m), and a sentence on what gave the level."""
+    """Fit the mean surface, with the horizon if it agrees with the surface.
+
+    Returns the fit, the standard uncertainties of the tilt (degrees) and the height (m), and a sentence that
+    says whether the horizon or the mean surface gave the level.
+    """
     free = fit_platform(start, matches, {}, distance)
     std = jackknife_std(free, matches, {}, distance)
     if not horizons:
@@ -174,7 +181,10 @@ def _best_fit(
 
 
 def _epipolar_error(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> float:
-    """Median distance of matches from their epipolar lines, px, without those above the limit."""
+    """Return the median distance of matches from their epipolar lines, px.
+
+    Distances above `MAX_EPIPOLAR_ERROR` are left out. NaN if none is left.
+    """
     distances = [
         epipolar_distance(rig[a], rig[b], *p.T, *q.T)
         for by_pair in matches

@@ -34,7 +34,10 @@ MIN_PEAK = 6.0  # height of a significant peak, in standard deviations of the co
 
 
 def particles(image: Image, visible: Mask) -> Image:
-    """The particles of an image: illumination removed and brightness limited; 0 outside `visible`."""
+    """Remove the illumination from an image of particles, and limit the brightness of single particles.
+
+    The result has unit variance before the limit is applied, and is 0 outside the mask `visible`.
+    """
     weight = cv2.GaussianBlur(visible.astype(np.float32), (0, 0), LIGHT_SCALE)
     light = cv2.GaussianBlur(np.where(visible, image, np.float32(0)), (0, 0), LIGHT_SCALE)
     rest = np.where(visible, image - light / np.maximum(weight, 1e-3), np.float32(0))
@@ -47,7 +50,7 @@ def particles(image: Image, visible: Mask) -> Image:
 
 @dataclass
 class Correlation:
-    """Cross-correlations of two images in windows, summed over instants."""
+    """Cross-correlations of the images of two cameras in square windows, summed over instants."""
 
     rows: Sequence[int]  # First image row of each row of windows
     columns: Sequence[int]  # First image column of each column of windows
@@ -61,7 +64,7 @@ class Correlation:
         self._taper = np.sqrt(np.outer(edge, edge)).astype(np.float32)
 
     def add(self, a: Image, b: Image) -> None:
-        """Add the images of one instant, as `particles` returns them."""
+        """Add the two cameras' images of one instant, as `particles` returns them."""
         for i, row in enumerate(self.rows):
             lines = slice(row, row + self.side)
             pieces = np.stack([[q[lines, c : c + self.side] for c in self.columns] for q in (a, b)])
@@ -69,7 +72,10 @@ class Correlation:
             self._sum[i] += np.conj(spectrum[0]) * spectrum[1]
 
     def planes(self) -> Image:
-        """Correlation in each window, (rows, columns, side, side), with zero displacement in the middle."""
+        """Return the correlation in each window, (rows, columns, side, side), as a function of displacement.
+
+        Zero displacement is in the middle.
+        """
         plane = scipy.fft.fftshift(scipy.fft.irfft2(self._sum, s=(self.side, self.side)), axes=(-2, -1))
         out = np.ascontiguousarray(plane, np.float32)
         for one in _each(out):
@@ -82,12 +88,18 @@ def _each(planes: Image) -> Iterator[Image]:
 
 
 def disparities(planes: Image) -> Array:
-    """Displacement of the second image, (n, m, 2), px along x and y, from correlations (n, m, side, side)."""
+    """Return the displacement of the second image in each window, (n, m, 2), px along x and y.
+
+    `planes` are the correlations (n, m, side, side). Windows without a clear peak are NaN.
+    """
     return np.array([_centre(one) for one in _each(planes)]).reshape(*planes.shape[:2], 2)
 
 
 def _centre(plane: Image) -> tuple[float, float]:
-    """Centroid of the correlation peak, px; NaN if the peak is insignificant or at the window's edge."""
+    """Return the displacement (x, y) of the correlation peak from the middle of the plane, px.
+
+    Both are NaN if the peak is insignificant or at the window's edge.
+    """
     middle, peak = plane.shape[0] // 2, _peak(plane)
     background = plane[~cv2.dilate(peak.view(np.uint8), np.ones((9, 9), np.uint8)).view(bool)]
     if not background.size or plane.max() - np.median(background) < MIN_PEAK * background.std():
@@ -100,7 +112,7 @@ def _centre(plane: Image) -> tuple[float, float]:
 
 
 def _peak(plane: Image) -> Mask:
-    """Connected samples around the maximum that exceed half of it."""
+    """Return a mask of the connected samples around the maximum of a correlation that exceed half of it."""
     top = np.unravel_index(int(plane.argmax()), plane.shape)
     _, parts = cv2.connectedComponents((plane > PEAK_LEVEL * plane.max()).astype(np.uint8))
     return np.asarray(parts == parts[top])
@@ -110,7 +122,11 @@ Read = Callable[[str, int], NDArray[np.generic] | None]  # reads the image of a 
 
 
 class SheetWindows:
-    """Disparity of each pair of cameras in windows of the dewarped images, from all instants."""
+    """Measures the disparity of each pair of cameras in windows of the dewarped images.
+
+    `side` is the side of a window, px. `read` returns the image of a camera at an instant; correlations are
+    summed over all `instants`.
+    """
 
     def __init__(self, rig: Rig, side: int, read: Read, instants: Sequence[int]) -> None:
         self.rig = rig
@@ -133,7 +149,10 @@ class SheetWindows:
         self._disparities = {pair: disparities(total.planes()) for pair, total in self._correlations.items()}
 
     def _add(self, read: Read, instants: Sequence[int], x: Array, y: Array) -> int:
-        """Add the correlations of all instants; returns the number of instants with images of a pair."""
+        """Add the correlations of all instants; x and y are the coordinates of the dewarped pixels, metres.
+
+        Returns the number of instants at which a pair of cameras has images.
+        """
         maps = {name: sight_map(self.rig[name], x, y) for name in self.rig}
         used = 0
         for k in instants:
@@ -149,7 +168,10 @@ class SheetWindows:
         return used
 
     def matches(self) -> dict[str, Array]:
-        """Pixels of the same points of the sheet in each camera, (windows, 2); NaN without a disparity."""
+        """Return, by camera, the pixels (windows, 2) at which it sees the particles of each window.
+
+        NaN where the disparity is unknown.
+        """
         reference = self.pairs[0][0]
         out = {reference: self._pixels(reference, np.zeros((*self.x.shape, 2)))}
         out |= {name: self._pixels(name, shift) for (_, name), shift in self._disparities.items()}
@@ -160,7 +182,7 @@ class SheetWindows:
         return np.stack(self.rig[name].project(self.x + dx, self.y + dy, 0.0), axis=-1).reshape(-1, 2)
 
     def rms(self) -> float:
-        """Rms disparity, px."""
+        """Return the rms disparity of all pairs and windows, px."""
         squares = [np.sum(np.square(shift), axis=-1) for shift in self._disparities.values()]
         return float(np.sqrt(np.nanmean(squares)))
 
@@ -170,7 +192,7 @@ SIDES = 128, 64, 64  # px: side of the windows in each pass; a fourth pass chang
 
 @dataclass(frozen=True)
 class LightSheet:
-    """A rig in the frame of a light sheet."""
+    """Result of `find_sheet`: a rig with z = 0 in the light sheet, and the sheet's former position."""
 
     rig: Rig  # z = 0 in the middle of the sheet
     height: float  # Of the sheet above the old z = 0, at the origin, metres
@@ -186,7 +208,7 @@ class LightSheet:
 
     @property
     def sentence(self) -> str:
-        """The result as sentences for the user."""
+        """The result in words, for the user."""
         x, y = (1e3 * part for part in self.slope)
         return (
             f"light sheet: {1e3 * self.height:+.3f} mm at the origin, slope {x:+.2f}, {y:+.2f} mrad along "
@@ -258,8 +280,11 @@ def find_sheet(
 def fit_sheet(
     read: Read, instants: Sequence[int], rig: Rig, progress: Callable[[int, int], None] | None = None
 ) -> LightSheet:
-    """Find the light sheet in images that `read` returns (Wieneke 2005, Exp. Fluids 39, 267).
-    Each pass measures the disparity, corrects the cameras and moves z = 0 to the sheet.
+    """Find the light sheet from images of particles (Wieneke 2005, Exp. Fluids 39, 267).
+
+    `read` returns the image of a camera at an instant. Each of three passes measures the disparity, corrects
+    the cameras and moves z = 0 to the sheet; `progress` is called with (passes done, number of passes).
+    Raises a CalibrationError if too few windows show the same particles in two cameras.
     """
     axes, origin, ambiguity = np.eye(3), np.zeros(3), 0.0
     check: RigCheck | None = None

@@ -16,7 +16,7 @@ CELLS = 8  # along each side of an image; the coverage is the fraction of cells 
 
 @dataclass(frozen=True)
 class PredictedErrors:
-    """Predicted standard uncertainties where the rig will be used."""
+    """Predicted standard uncertainties of pixels and of z in the volume where the rig will be used."""
 
     reprojection: Mapping[str, float]  # Of a pixel of each camera, px, rms over the volume and both axes
     z_std: float  # Of z, metres, rms over the volume; NaN for one camera
@@ -25,7 +25,11 @@ class PredictedErrors:
 
 
 def predict_errors(observations: Observations, result: Fit, level: bool = True) -> PredictedErrors:
-    """Propagate the covariance of the fit to pixels and to z; `level` is whether z = 0 is known."""
+    """Propagate the covariance of the fitted parameters to pixels and to z.
+
+    `level` is true if the calibration defines z = 0. The uncertainties are then those near z = 0, else those
+    where the target was.
+    """
     o = observations
     points = volume_points(o, result, level)
     _, J, by_point = project_points(o, result, points)
@@ -51,8 +55,10 @@ def predict_errors(observations: Observations, result: Fit, level: bool = True) 
 
 
 def project_points(observations: Observations, result: Fit, points: Array) -> tuple[Array, Array, Array]:
-    """Pixels (C, n, 2) of points (n, 3), metres, of the physical frame, with their derivatives.
-    The derivatives are (C, n, 2, p) by the fit's parameters and (C, n, 2, 3) by the points.
+    """Project points (n, 3), metres, of the physical frame with the fitted cameras.
+
+    Returns pixels (C, n, 2) in all C cameras, their derivatives with respect to the fit's parameters (C, n,
+    2, p), and their derivatives with respect to the points' positions (C, n, 2, 3), px per metre.
     """
     o = observations
     C, n = len(o.cameras), len(points)
@@ -65,7 +71,8 @@ def project_points(observations: Observations, result: Fit, points: Array) -> tu
 
 
 def volume_points(o: Observations, result: Fit, level: bool) -> Array:
-    """Points (n, 3), metres, that fill the volume where the rig will be used.
+    """Return points (n, 3), metres, that fill the volume where the rig will be used.
+
     They are within `HEIGHT` of z = 0 over the field that all cameras see, or over the target if there is no
     such field. If z = 0 is unknown (`level` is false), they are positions of the target's nodes.
     """
@@ -96,8 +103,9 @@ EQUIVALENT_RATIO = 1.05  # of expected errors; below it, the model with fewer pa
 
 
 def terms_of(model: str) -> tuple[str, ...] | None:
-    """Free terms of a camera model such as ``f tilt k1``; None for ``auto``.
-    Raises a CalibrationError for unknown terms.
+    """Split a camera model such as ``f tilt k1`` into its free terms; returns None for ``auto``.
+
+    Raises a CalibrationError if a term is unknown or ``f`` is missing.
     """
     terms = tuple(model.split())
     if terms == ("auto",):
@@ -115,8 +123,11 @@ def choose_model(
     level: bool,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[str, Fit]:
-    """Choose the camera model with the least expected error where the rig will be used (`volume_points`).
-    Among models that are nearly as good, it is the one with the fewest parameters. Returns its terms and fit.
+    """Choose the camera model with the least expected error where the rig will be used.
+
+    `fit_model` fits the rig with given free terms. Of models whose expected errors differ by less than 5 %,
+    the function takes the one with the fewest parameters. Returns the model's terms, separated by blanks, and
+    its fit. `level` is true if the calibration defines z = 0.
     """
     o, count = observations, 2 * len(observations)
     fits: dict[str, Fit] = {}
@@ -141,7 +152,10 @@ def choose_model(
 
 
 def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: Array) -> dict[str, float]:
-    """Expected rms error of a pixel at points (n, 3), px, of each model; `reference` is the model by BIC."""
+    """Return the expected rms error of a pixel, px, of each model, over the points (n, 3), metres.
+
+    The error combines the uncertainty of the parameters with the difference from the model named `reference`.
+    """
     pixel: dict[str, Array] = {}
     variance: dict[str, float] = {}
     for name, f in fits.items():

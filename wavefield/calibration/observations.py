@@ -18,7 +18,7 @@ from wavefield.rig.lens import LENS, Array
 
 @dataclass(frozen=True)
 class CalibrationLimits:
-    """Limits that a usable calibration must meet."""
+    """Limits against which a calibration is checked."""
 
     min_nodes: int = 12  # in a view: 24 coordinates, three times the parameters of a homography
     min_tilt_range: float = 10.0  # degrees between a camera's views; below it the focal length is uncertain
@@ -37,14 +37,14 @@ MAX_MATCHES = 3000  # matches used in a fit; more do not change the result
 
 @dataclass
 class Findings:
-    """Problems and notes for the user, as sentences."""
+    """Collects the problems and notes of a calibration, as sentences for the user."""
 
     problems: list[str] = field(default_factory=list)  # Why the rig cannot be used, and what to do
     notes: list[str] = field(default_factory=list)  # Remarks, for example on views that were left out
     left_out: dict[str, int] = field(default_factory=dict)  # Points left out, by view ("camera pose")
 
     def leave_out(self, camera: str, pose: str, points: int, reason: str = "") -> None:
-        """Count points that are left out, and note the reason."""
+        """Record that `points` points of a view are left out, and add a note if a reason is given."""
         view = f"{camera} {pose}"
         self.left_out[view] = self.left_out.get(view, 0) + points
         if reason:
@@ -56,7 +56,7 @@ Index = Nodes
 
 @dataclass(frozen=True)
 class Observations:
-    """Pixels of N nodes of the target in all images: n observations."""
+    """All n observations of a target: each is the pixel of one of N nodes, in one pose, in one camera."""
 
     cameras: tuple[str, ...]  # Names; `camera` below holds indices of them, as `pose` does of `poses`
     poses: tuple[str, ...]
@@ -75,7 +75,10 @@ class Observations:
         return len(self.camera)
 
     def only(self, keep: Mask) -> "Observations":
-        """Observations that a mask (n,) selects; names and nodes stay."""
+        """Return the observations that a mask (n,) selects.
+
+        The names of cameras and poses and the table of nodes stay complete.
+        """
         parts = {key: getattr(self, key)[keep] for key in ("camera", "pose", "node", "pixel", "std")}
         return replace(self, **parts)
 
@@ -83,8 +86,10 @@ class Observations:
     def of_points(
         cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], poses: tuple[str, ...], count: int
     ) -> "Observations":
-        """Observations of points at the origin, by every camera in the last pose; pixels are zero.
-        `Geometry.offset` holds the positions of these points.
+        """Make observations of `count` free points instead of a target, each seen by every camera.
+
+        All points belong to the last pose and are at the origin, so that `Geometry.offset` holds their
+        positions. Their pixels are zero.
         """
         n = len(cameras) * count
         return Observations(
@@ -105,7 +110,11 @@ class Observations:
 def collect(
     views: Mapping[str, Mapping[str, TargetPoints]], mesh: float, origin: tuple[float, float] = (0.0, 0.0)
 ) -> Observations:
-    """Join the views of all cameras; the mesh and the position of node (0, 0) are in metres."""
+    """Join the target points of all views, by camera and pose, to one set of observations.
+
+    `mesh` is the distance of neighbouring nodes, metres. `origin` is the position (x, y) of node (0, 0),
+    metres.
+    """
     cameras = tuple(views)
     poses = tuple(dict.fromkeys(pose for by_pose in views.values() for pose in by_pose))
     rows = [
@@ -138,7 +147,10 @@ def collect(
 
 @dataclass(frozen=True)
 class Geometry:
-    """Cameras and poses of the target; the world is the physical frame."""
+    """Lenses and positions of C cameras, P poses of the target and offsets of its N nodes.
+
+    The world is the physical frame.
+    """
 
     lens: Array  # (C, 12): Lens of each camera, in the order of `LENS`
     R: Array  # (C, 3, 3): Rotation from world to camera
@@ -148,20 +160,23 @@ class Geometry:
     offset: Array  # (N, 3): Deviation of each node from its nominal position, metres, in the target's axes
 
     def cameras(self, sizes: Sequence[tuple[int, int]]) -> list[Camera]:
-        """Camera objects with images of given sizes (width, height), px."""
+        """Return the cameras as `Camera` objects; `sizes` holds the (width, height) of their images, px."""
         return [
             Camera(rotation=R, translation=T, size=size, **dict(zip(LENS, lens.tolist(), strict=True)))
             for lens, R, T, size in zip(self.lens, self.R, self.T, sizes, strict=True)
         ]
 
     def with_pose(self, R: Array, t: Array) -> "Geometry":
-        """A copy with one more pose of the target."""
+        """Return a copy with one more pose of the target.
+
+        R (3, 3) and t (3,), metres, transform from the target to the world.
+        """
         return replace(
             self, pose_R=np.concatenate([self.pose_R, R[None]]), pose_t=np.concatenate([self.pose_t, t[None]])
         )
 
     def world(self, observations: Observations) -> Array:
-        """Positions of the observed nodes in the world, (n, 3), metres."""
+        """Return the position of the node of each observation in the world, (n, 3), metres."""
         points = (observations.nominal + self.offset)[observations.node]
         pose = observations.pose
         world: Array = np.einsum("nij,nj->ni", self.pose_R[pose], points) + self.pose_t[pose]
@@ -169,8 +184,9 @@ class Geometry:
 
 
 def common_extent(cameras: Sequence[Camera], nominal: Array) -> tuple[Array, Array]:
-    """Lower and upper (x, y), metres, of the field on z = 0 that all cameras see.
-    If there is none, these are the limits of the target's nodes (N, 3).
+    """Return the lower and the upper corner (x, y), metres, of the field on z = 0 that all cameras see.
+
+    If there is no such field, the corners are the extremes of the nodes' positions `nominal` (N, 3), metres.
     """
     try:
         views = [view_on_water(camera) for camera in cameras]

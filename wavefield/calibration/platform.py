@@ -35,14 +35,18 @@ TRIALS = 2000  # of RANSAC; with one true edge in eight, thirty of them pick two
 
 
 def dip(height: float) -> float:
-    """Angle of the horizon below the horizontal, rad, from a height above the sea, m, with refraction."""
+    """Return the angle of the horizon below the horizontal, rad, as seen from a height above the sea, m.
+
+    The angle includes refraction.
+    """
     return float(np.sqrt(2.0 * max(height, 0.0) / EARTH_RADIUS))
 
 
 def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array | None:
-    """Find points (X, Y) of the horizon, (n, 2), px, in images (row, column) of a fixed camera.
-    The horizon is a straight line across the undistorted mean image, with a roll of up to 45 degrees. Returns
-    None if there is no such line.
+    """Find points of the horizon in the mean of several images (row, column) of a fixed camera.
+
+    The horizon is a straight line in the undistorted image, with a roll of up to 45 degrees. Returns points
+    (X, Y), (n, 2), px, or None if there is no such line.
     """
     # the mean image shows the horizon, but not the waves
     mean = np.asarray(np.mean([np.asarray(image, float) for image in images], axis=0), np.float32)
@@ -62,7 +66,10 @@ def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array
 
 
 def _edges(gradient: NDArray[np.float32]) -> tuple[Array, Array]:
-    """Steepest edges in some columns of the vertical gradient: positions (n, 2), px, and gradients (n,)."""
+    """Find the steepest edges in some columns of the vertical gradient of an image.
+
+    Returns the positions (X, Y) of the edges (n, 2), px, and their absolute gradients (n,).
+    """
     width = gradient.shape[1]
     noise = 1.4826 * float(np.median(np.abs(gradient)))
     points, strength = [], []
@@ -79,8 +86,10 @@ def _edges(gradient: NDArray[np.float32]) -> tuple[Array, Array]:
 
 
 def _line(tangents: Array, column: Array, strength: Array, reach: float) -> NDArray[np.bool_]:
-    """Which edges (n,) lie on the straight line with the most gradient on it, by RANSAC.
-    `tangents` (n, 2) are positions without lens distortion; `reach` is the largest distance from the line.
+    """Find the straight line with the most gradient on it (RANSAC), and the edges that lie on it.
+
+    `tangents` (n, 2) are the positions of the edges without lens distortion, `strength` (n,) are their
+    gradients, and `reach` is the largest distance of an edge from the line. Returns a mask (n,) of the edges.
     """
     rng = np.random.default_rng(0)
     weight = np.minimum(strength, np.median(strength))
@@ -103,7 +112,7 @@ def _line(tangents: Array, column: Array, strength: Array, reach: float) -> NDAr
 
 
 def sight_lines(camera: Camera, points: Array) -> Array:
-    """Unit vectors (n, 3) of the sight lines of pixels (n, 2), in the camera's frame."""
+    """Return unit vectors (n, 3) along the sight lines of pixels (n, 2), in the camera's frame."""
     a, b = camera.tangents(*points.T)
     rays = np.stack([a, b, np.ones_like(a)], axis=-1)
     return np.asarray(rays / np.linalg.norm(rays, axis=1)[:, None])
@@ -121,18 +130,21 @@ HUGE = 1e3  # px: residual of a match that is not on the water in front of both 
 
 @dataclass(frozen=True)
 class PlatformFit:
-    """Cameras in one frame, and the plane of the mean surface, up . x + offset = 0."""
+    """Cameras in one frame, and the plane of the sea's mean surface, up . x + offset = 0, in that frame."""
 
     cameras: Mapping[str, Camera]
     up: Array  # (3,): Unit vector
     offset: float  # Metres
 
     def height(self, name: str) -> float:
-        """Height of a camera above the mean surface, m."""
+        """Return the height of the camera `name` above the mean surface, m."""
         return float(self.up @ self.cameras[name].centre + self.offset)
 
     def distance(self, matches: Sequence[Mapping[Pair, Pixels]]) -> float:
-        """Median distance of the matched features from the first camera, m; 0 without matches."""
+        """Return the median distance of the matched features from the first camera, m; 0 without matches.
+
+        `matches` holds the matched pixels by pair of cameras, for each instant.
+        """
         name = next(iter(self.cameras))
         rays = [
             sight_lines(self.cameras[name], np.reshape(pixels[0], (-1, 2))) @ self.cameras[name].R @ self.up
@@ -145,7 +157,7 @@ class PlatformFit:
 
 @dataclass(frozen=True)
 class _Match:
-    """Matched pixels of one pair of cameras at all instants."""
+    """All matched pixels of one pair of cameras, from all instants."""
 
     pair: Pair
     a: Array  # (n, 2): Pixels of the first camera
@@ -159,10 +171,15 @@ def fit_platform(
     horizons: Mapping[str, Array],
     distance: float | None = None,
 ) -> PlatformFit:
-    """Fit the level, the height and, if a distance (metres) is given, the pose of the second camera.
-    The robust least-squares fit has three kinds of residuals, each divided by its expected size: distances
-    of matches across and along the epipolar lines, and distances of sight lines from the horizon. A distance
-    along an epipolar line is the elevation of a wave.
+    """Fit the level and the height of the cameras above the sea to matched features and horizons.
+
+    `matches` holds the matched pixels by pair of cameras, for each instant; `horizons` holds points of the
+    horizon, px, by camera. If the `distance` between the cameras (metres) is given, the fit also includes the
+    pose of the second camera.
+
+    Three kinds of residuals are minimised, each divided by its expected size: distances of matches across
+    their epipolar lines, distances of matches along these lines, which come from the elevation of the waves,
+    and distances of sight lines from the horizon.
     """
     kept = [one for one in _joined(matches) if len(one.a)]
     kept = [_on_water(start, one) for one in kept]
@@ -185,10 +202,12 @@ def fit_platform(
 def jackknife_std(
     fit: PlatformFit, matches: Sequence[Instant], horizons: Mapping[str, Array], distance: float | None
 ) -> tuple[float, float]:
-    """Standard uncertainties of the tilt (degrees) and the height (m); arguments as in `fit_platform`.
+    """Return the standard uncertainties of the tilt (degrees) and of the height (m) of a fit.
 
-    They come from a jackknife over groups of successive instants. If all groups show the same waves, that of
-    the height is NaN; that of the tilt is the error of the horizon, or NaN without a horizon.
+    They come from a jackknife over groups of successive instants; the arguments are those of `fit_platform`.
+
+    If all groups show the same waves, the uncertainty of the height is NaN. The uncertainty of the tilt is
+    then the error of the horizon, or NaN without a horizon.
     """
     # leave out successive instants together, because they show the same waves
     groups = np.array_split(np.arange(len(matches)), min(GROUPS, len(matches)))
@@ -222,10 +241,11 @@ def jackknife_std(
 def _correlated_groups(
     fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArray[np.intp]]
 ) -> float:
-    """Number F of successive groups that show correlated waves, at least 1.
+    """Return the number F of successive groups of instants that show correlated waves, at least 1.
 
-    A mean over n groups varies like one over n / F. F follows from the correlation between groups of the mean
-    elevations in cells of the image.
+    The mean over n groups is then as uncertain as the mean over n / F independent groups. F follows from the
+    correlation between groups of the mean elevation in cells of the image. `groups` holds the indices of the
+    instants of each group.
     """
     count = len(groups)
     products, squares = np.zeros(count), np.zeros(count)
@@ -252,7 +272,10 @@ def _correlated_groups(
 
 
 def _joined(matches: Sequence[Instant]) -> list[_Match]:
-    """Join the matches of each pair of cameras at all instants; keep every nth, `MAX_MATCHES` at most."""
+    """Join the matches of all instants, for each pair of cameras.
+
+    Of more than `MAX_MATCHES` matches, only every nth is kept.
+    """
     out = []
     for pair in dict.fromkeys(pair for one in matches for pair in one):
         parts = [(number, one[pair]) for number, one in enumerate(matches) if pair in one]
@@ -264,7 +287,7 @@ def _joined(matches: Sequence[Instant]) -> list[_Match]:
 
 
 def _on_water(fit: PlatformFit, one: _Match) -> _Match:
-    """Keep matches near their epipolar lines and on near water; leave out the sky and far water."""
+    """Keep the matches that are near their epipolar lines and on the water near the cameras."""
     first, second = (fit.cameras[name] for name in one.pair)
     near = np.abs(epipolar_distance(first, second, *one.a.T, *one.b.T)) < MAX_EPIPOLAR_ERROR
     down = -(sight_lines(first, one.a) @ first.R @ fit.up)
@@ -275,9 +298,10 @@ def _on_water(fit: PlatformFit, one: _Match) -> _Match:
 
 
 def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
-    """The fit after a step x.
-    With a distance, x is a rotation vector (3) and a shift (2) of the second camera, followed by tilt (2) and
-    rise (1) of the plane; without, it is the last three only.
+    """Return the fit after a step x of its parameters.
+
+    With a distance, x (8,) holds a rotation vector (3) and a shift (2) of the second camera, the tilt (2) and
+    the rise (1) of the plane. Without a distance, x (3,) holds only the tilt and the rise.
     """
     cameras = dict(fit.cameras)
     if distance is not None:
@@ -295,8 +319,10 @@ def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
 
 
 def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Array]:
-    """Distances of matches across and along their epipolar lines, px, and px per metre of elevation.
-    Each is (n,). The distance along the line is zero for a feature on the mean surface.
+    """Return distances of matches across and along their epipolar lines, px.
+
+    The third result is the distance along the line per metre of elevation, px/m. Each result is (n,). The
+    distance along the line is zero for a feature on the mean surface.
     """
     first, second = (fit.cameras[name] for name in one.pair)
     rays = sight_lines(first, one.a) @ first.R
@@ -312,7 +338,10 @@ def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Arra
 
 
 def _sizes(fit: PlatformFit, one: _Match) -> tuple[float, Array]:
-    """Expected standard deviations, px, of the distances across (one value) and along (n,) epipolar lines."""
+    """Return the expected standard deviations, px, of distances of matches from a fit.
+
+    The first is across the epipolar lines (one value for all), the second along them (n,).
+    """
     across, along, per_metre = _along_and_across(fit, one)
     noise = max(robust_std(across), 0.05)
     waves = max(robust_std(along / per_metre), 1e-3)
@@ -328,7 +357,11 @@ def _residuals(
     distance: float | None,
     instants: int,
 ) -> Array:
-    """Residuals of `fit_platform` after a step x, each over its expected size."""
+    """Return the residuals of `fit_platform` after a step x, each divided by its expected size.
+
+    `kept` holds the matches of each pair, `sizes` the results of `_sizes` for them, and `instants` is the
+    number of instants.
+    """
     now = _stepped(fit, x, distance)
     out = []
     for one, (noise, expected) in zip(kept, sizes, strict=True):
@@ -343,8 +376,9 @@ def _residuals(
 
 
 def sway(images: Sequence[NDArray[np.generic]], camera: Camera) -> float:
-    """Rms roll or pitch of a camera, the larger one, degrees, from the horizon in its images.
-    NaN if fewer than two images show the horizon.
+    """Return the rms roll or the rms pitch of a camera, whichever is larger, degrees.
+
+    Both come from the horizon in each of its images. NaN if fewer than two images show the horizon.
     """
     lines = [find_horizon([image], camera) for image in images]
     # the vertical is perpendicular to all sight lines to the horizon

@@ -61,8 +61,11 @@ def read_points(
     path: str | Path, size: tuple[int, int] | None = None, std: float = 0.1, unit: float | None = None
 ) -> TargetPoints:
     """Read target points from a CSV file with columns i, j, X, Y and optionally std (px) and z (metres).
-    If a unit (metres) is given, the columns are x, y, z in that unit, then X, Y. `size` and `std` (px) serve
-    where the file has none. A line that is not made of numbers raises a CalibrationError.
+
+    If `unit` (metres) is given, the columns are x, y, z in this unit, then X, Y and optionally std. `size`
+    (width, height) and `std` (px) are used if the file does not state them. Raises a CalibrationError if the
+    file cannot be read, lacks a column or the image size, holds a node twice, or holds values that are not
+    valid numbers.
     """
     path = Path(path)
     lines = _lines(path)
@@ -96,7 +99,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
-    """Image size (width, height) from a comment in the file; None if there is none."""
+    """Return the image size (width, height) that a comment in the file states; None if there is none."""
     for line in lines:
         words = line.lstrip("#").split()
         if line.startswith("#") and words[:1] == ["size"]:
@@ -109,7 +112,11 @@ def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
 
 
 def _table(lines: list[str], path: Path, std: float) -> tuple[Array, bool]:
-    """Table (n, 6) of i, j, X, Y, std, z, and whether the file has a column z."""
+    """Read the points of a grid.
+
+    Returns a table (n, 6) of i, j, X, Y, std, z, and whether the file has a column z. `std` (px) is used
+    where the file states none.
+    """
     rows = csv.DictReader(_content(lines), skipinitialspace=True)
     header = rows.fieldnames or ()
     missing = [name for name in COLUMNS if name not in header]
@@ -124,7 +131,10 @@ def _table(lines: list[str], path: Path, std: float) -> tuple[Array, bool]:
 
 
 def _free_points(lines: list[str], path: Path, std: float, unit: float) -> tuple[Array, bool]:
-    """Table (n, 6) of x, y (in the unit), X, Y, std, z (metres) of points with known positions."""
+    """Read points with known positions: a table (n, 6) of x, y (in the unit), X, Y, std, z (metres).
+
+    The second result is always True, because the positions are known. `unit` is in metres.
+    """
     content = [line.replace(",", " ") for line in _content(lines)]
     header = content[0].split() if content else []
     if not set(header) >= set(FREE_COLUMNS):

@@ -38,7 +38,11 @@ Matches = Mapping[str, ArrayLike]  # by camera: pixels (n, 2) of the same n poin
 
 
 def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
-    """Names of the cameras in the rig's order, and their matched pixels, (n, cameras, 2)."""
+    """Check matches by camera, and stack them in one array.
+
+    Returns the names of the matched cameras, in the rig's order, and their pixels (n, cameras, 2). Raises a
+    CalibrationError if there are fewer than two cameras, an unknown camera, or arrays of wrong shape.
+    """
     names = [name for name in rig if name in matches]
     unknown = [name for name in matches if name not in rig.cameras]
     if unknown:
@@ -52,8 +56,10 @@ def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
 
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
-    """Points x, y, z (n,), metres, nearest to the sight lines of matched pixels, and reprojection errors.
-    These errors (n, cameras, 2), px, are observed minus projected pixels, with cameras in the rig's order.
+    """Return the points x, y, z, each (n,), metres, that are nearest to the sight lines of matched pixels.
+
+    The fourth result holds the reprojection errors (n, cameras, 2), px: observed minus projected pixels, with
+    the cameras in the rig's order.
     """
     names, pixel = stack_matches(rig, matches)
     cameras = [rig[name] for name in names]
@@ -72,7 +78,7 @@ def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array
 
 @dataclass(frozen=True)
 class Solution:
-    """Most probable parameters of the cameras."""
+    """Cameras that best explain matched pixels, as `SightLineFit.solve` finds them."""
 
     x: Array  # (p,): Steps from the calibrated rig
     misfit: float  # Robust distance by which sight lines miss, px
@@ -80,7 +86,11 @@ class Solution:
 
 
 class SightLineFit:
-    """Least-squares fit of the cameras' parameters to matched pixels, with the calibration as prior."""
+    """Least-squares fit of the cameras of a rig to matched pixels.
+
+    The calibration of the rig, with its covariance, is the prior. `std` is the standard uncertainty of a
+    matched pixel per axis, px.
+    """
 
     def __init__(self, rig: Rig, matches: Matches, std: float):
         self.names, pixel = stack_matches(rig, matches)
@@ -114,16 +124,22 @@ class SightLineFit:
 
     @property
     def matches(self) -> dict[str, Array]:
-        """Matched pixels (n, 2) used in the fit, by camera."""
+        """The matched pixels (n, 2) that the fit uses, by camera.
+
+        NaN where a camera does not see the point.
+        """
         return {name: self.pixel[:, k] for k, name in enumerate(self.names)}
 
     def rig_at(self, x: Array) -> Rig:
-        """The rig after a step x (p,) of the parameters."""
+        """Return the rig after a step x (p,) of the parameters from the calibration."""
         cameras = stepped(self.start, self.layout, x).cameras(self.observations.sizes)
         return Rig({**self.rig.cameras, **dict(zip(self.names, cameras))}, self.rig.provenance)
 
     def solve(self, free: Sequence[str]) -> Solution:
-        """Most probable parameters if the cameras named may have moved."""
+        """Find the most probable parameters if the cameras named in `free` may have moved.
+
+        The other cameras keep to their calibration within its uncertainty.
+        """
         covariance = self.covariance.copy()
         for name in free:
             k = self.layout.camera[self.names.index(name)]
@@ -143,7 +159,11 @@ class SightLineFit:
         return Solution(x, self.misfit(r[: self.pixel.size]), huber(r, HUBER_LIMIT))
 
     def _linearised(self, x: Array) -> tuple[Array, Array]:
-        """Normalised residuals (n, 2 cameras, 1) and derivatives (n, 2 cameras, p), without the points."""
+        """Return the normalised residuals (n, 2 cameras, 1) of the matches, and their derivatives.
+
+        The derivatives (n, 2 cameras, p) are with respect to the parameters x. The part that a shift of each
+        point would explain is removed from both results.
+        """
         point = np.stack(sight_points(self.rig_at(x), self.matches)[:3], axis=-1)
         pixel, J, A = linearised(replace(self.start, offset=point), self.layout, x, self.observations)
 
@@ -160,29 +180,36 @@ class SightLineFit:
         return r - Q @ (Q.transpose(0, 2, 1) @ r), J - Q @ (Q.transpose(0, 2, 1) @ J)
 
     def angle(self, solution: Solution, name: str) -> float:
-        """Angle by which a solution turns the named camera, degrees."""
+        """Return the angle by which `solution` turns the camera `name` from its calibration, degrees."""
         k = self.layout.camera[self.names.index(name)]
         return float(np.degrees(np.linalg.norm(solution.x[k : k + 3])))
 
     def image_shift(self, solution: Solution, name: str) -> float:
-        """Shift of the named camera's image by the turn of a solution, px."""
+        """Return how far the turn of the camera `name` in `solution` shifts its image, px."""
         return self.rig[name].fx * float(np.radians(self.angle(solution, name)))
 
     def misfit(self, projected: Array) -> float:
-        """Robust distance by which sight lines miss each other, px, from normalised residuals."""
+        """Return a robust estimate of the distance by which sight lines miss each other, px.
+
+        `projected` holds the residuals of all matches, divided by `std`.
+        """
         norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
         # normalise by the median of a chi distribution with 2 cameras - 3 degrees of freedom
         median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))
         return float(np.median(norm / median))
 
     def misfit_at_start(self) -> float:
-        """Robust misfit of the calibrated rig, px."""
+        """Return the robust distance by which sight lines miss each other in the calibrated rig, px."""
         residual = sight_points(self.rig, self.matches)[3]
         return self.misfit(np.where(self.visible[..., None], residual, 0.0).reshape(-1) / self.std)
 
 
 def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[ParameterLayout, Array]:
-    """Parameters of the cameras and their covariance (p, p), from the rig file or else from defaults."""
+    """Return the layout of the cameras' parameters and the prior covariance of these parameters (p, p).
+
+    The covariance comes from the provenance of the rig. If it has none, only the positions and orientations
+    of the cameras are parameters, with default uncertainties.
+    """
     stated = rig.provenance.get("covariance")
     columns: dict[str, list[str]] = {name: [] for name in names}
     if stated:
@@ -223,7 +250,7 @@ Solutions = Mapping[str | None, Solution]  # by the camera that may have moved; 
 
 @dataclass(frozen=True)
 class RigCheck:
-    """Whether the sight lines of matched pixels meet, and which camera has moved."""
+    """Result of `check_rig`: how far sight lines miss each other, and which camera has moved."""
 
     misfit: float  # Robust distance by which sight lines miss, px
     expected: float  # The same after the best correction of the cameras, px
@@ -261,7 +288,11 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
 
 
 def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
-    """The verdict on the rig, and the solutions for each camera that may have moved."""
+    """Decide whether a camera has moved.
+
+    Returns the result of the check, and the solution for each camera that may have moved. The key None holds
+    the solution in which no camera has moved.
+    """
     solutions: dict[str | None, Solution] = {None: problem.solve(())}
     for name in problem.names:
         solutions[name] = problem.solve((name,))
@@ -304,7 +335,12 @@ def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
 
 
 def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: float, after: float) -> RigCheck:
-    """The verdict that camera `best` has moved, from misfits before and after its correction, px."""
+    """Return the result of a check that blames a camera's motion.
+
+    `best` is the camera that explains the misfit best, and `faulty` are all that explain it about as well.
+    `angle` is the turn of `best`, degrees; `before` and `after` are the misfits before and after its
+    correction, px. If the correction leaves too large a misfit, the result names other causes instead.
+    """
     if after > max(0.5 * before, SHARP_MISFIT_PX):
         text = f"sight lines miss by {before:.2f} px, and by {after:.2f} px with one turned: {_OTHER_CAUSES}"
         return RigCheck(before, after, None, faulty, angle, text)
@@ -317,7 +353,7 @@ def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: floa
 
 
 def _refined(problem: SightLineFit, solution: Solution, check: RigCheck) -> Rig:
-    """The rig of a solution, with a note in its provenance."""
+    """Return the rig with the cameras of a solution, and add the key `refined` to its provenance."""
     note = {
         "misfit_before_px": check.misfit,
         "misfit_after_px": solution.misfit,

@@ -18,8 +18,10 @@ from wavefield.robust import PER_MEDIAN
 
 @compiled(inline="always")
 def profile(d: float, u: float, s: float) -> tuple[float, float, float]:
-    """Profile of a string of unit flux at a distance d, px, from its axis, and derivatives by d and by u.
-    The box has a half width of sqrt(u), the Gaussian a standard deviation of s, px.
+    """Return the brightness across a string at the distance d from its axis, and two derivatives.
+
+    The derivatives are with respect to d and u. The profile has unit integral; it is a box of half width
+    sqrt(u), smoothed by a Gaussian of standard deviation s. d and s are in px.
     """
     if u > 0.1 * s * s:
         h = math.sqrt(u)
@@ -45,7 +47,7 @@ MAX_ARM = 18.0  # px: length of an arm; tuned on simulated string grids
 
 @dataclass(frozen=True)
 class Crossings:
-    """Crossings fitted in one image; arrays over n crossings."""
+    """Results of fitting n crossings in one image."""
 
     pixel: Array  # (n, 2): Position (X, Y), px
     std: Array  # (n,): Standard uncertainty per axis, px
@@ -58,13 +60,17 @@ class Crossings:
     noise: Array  # (n, 4): Mean grey and mean squared residual, of the background and of the strings
 
     def only(self, keep: Mask) -> "Crossings":
-        """Crossings that a mask (n,) selects."""
+        """Return the crossings that a mask (n,) selects."""
         return Crossings(**{name: value[keep] for name, value in vars(self).items()})
 
 
 @compiled()
 def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: float) -> Array:
-    """Pixels within the parallelogram of the arms and a band around either string: x, y and grey, (3, n)."""
+    """Return the columns x, the rows y and the grey values of the pixels near a crossing, (3, n).
+
+    These pixels are within the parallelogram of the vectors `arm1` and `arm2`, px, and nearer than `band`,
+    px, to one of the strings. `start` holds the crossing's parameters.
+    """
     rows, columns = image.shape
     det = arm1[0] * arm2[1] - arm1[1] * arm2[0]
     wide, tall = abs(arm1[0]) + abs(arm2[0]), abs(arm1[1]) + abs(arm2[1])
@@ -91,12 +97,15 @@ def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: flo
 def _rows(
     pixels: Array, p: Array, blur: float, variance: Pair, spread: float, free: int, misses: Array, rows: Array
 ) -> float:
-    """Write the weighted least-squares equations of all pixels; return the number of pixels with a weight.
+    """Write the weighted least-squares equations of all pixels; return how many pixels have a weight.
 
-    `variance` (a, b) is the noise a + b model of a pixel, `blur` the standard deviation of the lens'
-    Gaussian, px. Residuals beyond `spread` standard deviations have no weight (Tukey). rows (13, n):
-    derivatives by the first `free` parameters, the linear ones first; the last row holds the residuals.
-    misses (2, n): residual in grey without weight, and its absolute value in standard deviations.
+    The arguments `rows` and `misses` are filled in place. rows (13, n) holds the derivatives of the model
+    with respect to the first `free` parameters, the linear ones first, and in its last row the residuals.
+    misses (2, n) holds the residuals in grey levels, and their absolute values in standard deviations.
+
+    p (12,) are the parameters. `variance` (a, b) gives the noise variance a + b model of a pixel; `blur` is
+    the standard deviation of the lens' Gaussian, px. Residuals beyond `spread` standard deviations have no
+    weight (Tukey).
     """
     c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
     count = 0.0
@@ -136,7 +145,10 @@ def _rows(
 
 @compiled()
 def _advance(p: Array, steps: Array, blur: float) -> float:
-    """Add limited steps (linear parameters first); return the larger step of the centre's x and y, px."""
+    """Add `steps` to the parameters p in place, after limiting them.
+
+    The linear parameters come first in `steps`. Returns the larger of the steps of the centre's x and y, px.
+    """
     largest = 0.0
     for i in range(len(steps)):
         step = steps[i]
@@ -166,7 +178,11 @@ def _evaluate(
     arms: Array,
     noise: Array,
 ) -> None:
-    """Fill `arms` (4,) and `noise` (4,) of one crossing, as `Crossings` describes them."""
+    """Fill the arrays `arms` (4,) and `noise` (4,) of one crossing in place.
+
+    The fields of `Crossings` describe them. `angles` are the directions of the two strings, rad; `misses` and
+    `spread` are as in `_rows`.
+    """
     c1, s1, c2, s2 = math.cos(angles[0]), math.sin(angles[0]), math.cos(angles[1]), math.sin(angles[1])
     v1, v2 = math.sqrt(blur * blur + p[WIDTH1] / 3.0), math.sqrt(blur * blur + p[WIDTH2] / 3.0)
     found = np.zeros(4)
@@ -213,8 +229,11 @@ def _fit_one(
     arms: Array,
     noise: Array,
 ) -> float:
-    """Fit one crossing by damped Gauss-Newton steps; fills p, covariance, arms and noise in place.
-    Returns the residual over the noise, or -1 if too few pixels are left.
+    """Fit one crossing by damped Gauss-Newton steps.
+
+    The parameters p (12,) hold the start values and then the result; `covariance` (2,) (variances of x and y,
+    px^2), `arms` (4,) and `noise` (4,) are filled in place. Returns the residual over the noise, or -1 if the
+    fit fails.
     """
     n = pixels.shape[1]
     if n < 45:
@@ -250,7 +269,12 @@ def _fit_one(
 def _fit_all(
     image: Image, arms: Array, blur: float, band: Array, variance: Pair, p: Array, out: Array
 ) -> None:
-    """Fit all crossings with arms (n, 2, 2), px; updates p (n, 12) and fills `out` (n, 11)."""
+    """Fit all crossings of an image; updates the parameters p (n, 12) and fills `out` (n, 11) in place.
+
+    `arms` (n, 2, 2) are vectors along the two strings, px, and `band` (n,) is the half width of the strips of
+    pixels along them, px. A row of `out` holds the variances of x and y (2), `arms` (4), `noise` (4) and the
+    misfit (1).
+    """
     for k in range(len(p)):
         pixels = _pixels_near(image, p[k], arms[k, 0], arms[k, 1], band[k])
         covariance, brightness, noise = out[k, :2], out[k, 2:6], out[k, 6:10]
@@ -258,8 +282,11 @@ def _fit_all(
 
 
 def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> Array:
-    """Start values (n, 12) of centre, angles and widths; the first step solves for the linear parameters.
-    The crossings are at `pixel` (n, 2) with mesh vectors `slopes` (n, 2, 2); sigma and blur are in px.
+    """Return start values (n, 12) of the parameters of crossings.
+
+    They are set for the centre, the angles and the widths; the first step of the fit solves for the others.
+    `pixel` (n, 2) are the expected positions, `slopes` (n, 2, 2) the mesh vectors, px, `sigma` the standard
+    deviation of a string's profile, px, and `blur` that of the lens' Gaussian, px.
     """
     p = np.zeros((len(pixel), COUNT))
     p[:, CX], p[:, CY] = pixel.T
@@ -276,9 +303,11 @@ def fit_crossings(
     blur: float,
     noise: tuple[float, float] = (1.0, 0.0),
 ) -> Crossings:
-    """Fit crossings from start parameters (n, 12), with mesh vectors `slopes` (n, 2, 2) and blur in px.
-    `noise` is the variance of a pixel at zero grey and its increase per grey level. Damped Gauss-Newton steps
-    with Tukey's biweight at six robust standard deviations.
+    """Fit all crossings of an image by damped Gauss-Newton steps, without outliers (Tukey's biweight).
+
+    `start` (n, 12) are start values of the parameters, `slopes` (n, 2, 2) the mesh vectors, px, and `blur`
+    the standard deviation of the lens' Gaussian, px. `noise` is the variance of a pixel at zero grey and its
+    increase per grey level.
     """
     parameters = np.array(start, float)
     length = np.hypot(slopes[..., 0], slopes[..., 1])

@@ -35,7 +35,11 @@ NO_GRID = (
 
 
 def best_lattice(image: Image) -> tuple[TargetLattice, float]:
-    """The lattice with the most light along its meshes, and the smoothing scale, px, that found it."""
+    """Find the lattice of string crossings that has the most light along the lines between its nodes.
+
+    Returns the lattice and the scale of smoothing, px, that found it. Raises a CalibrationError if there is
+    none.
+    """
     best: TargetLattice | None = None
     best_scale, most = SCALES[0], 0.0
     for scale in SCALES:
@@ -58,8 +62,10 @@ def best_lattice(image: Image) -> tuple[TargetLattice, float]:
 
 
 def _light_along(image: Image, lattice: TargetLattice) -> float:
-    """Excess brightness of the lines between neighbouring nodes over their surroundings, times their length.
-    Noise or dirt can form a lattice of many nodes, but without strings between them.
+    """Measure how much brighter the lines between neighbouring nodes are than their surroundings.
+
+    Returns the sum over all lines of excess brightness times length, grey px. It is small for a lattice that noise
+    or dirt forms, because there are no strings between its nodes.
     """
     place, filled = lattice.place, lattice.filled
     along = np.linspace(0.25, 0.75, 16)[None, :, None]
@@ -76,7 +82,11 @@ def _light_along(image: Image, lattice: TargetLattice) -> float:
 
 
 def _seeds(image: Image, candidates: Candidates) -> list[tuple[Array, Array, Array]]:
-    """Seeds near the image's centre: a crossing (2,) and mesh vectors e1, e2 along its strings, px."""
+    """Find crossings near the image's centre from which a lattice can grow.
+
+    Each seed is the pixel of a crossing (2,) and the steps e1 and e2 (2,), px, along its strings to two
+    neighbours, right-handed seen from above.
+    """
     height, width = image.shape
     light = _above_ground(image, candidates.scale)
     pixel = candidates.pixel[candidates.strong]
@@ -104,14 +114,17 @@ def _seeds(image: Image, candidates: Candidates) -> list[tuple[Array, Array, Arr
 
 
 def _above_ground(image: Image, scale: float) -> Image:
-    """The smoothed image minus its local background."""
+    """Smooth the image, and subtract its local background."""
     smooth = cv2.GaussianBlur(image, (0, 0), max(1.0, 0.5 * scale))
     ground = cv2.blur(cv2.erode(smooth, np.ones((15, 15), np.uint8)), (31, 31))
     return np.asarray(smooth, np.float32) - np.asarray(ground, np.float32)
 
 
 def sample(image: Image, pixel: Array) -> Image:
-    """Bilinear interpolation at pixels (..., 2); outside the image, the value of the nearest pixel."""
+    """Interpolate the image bilinearly at positions `pixel` (..., 2).
+
+    Outside the image, the result is the value of the nearest pixel.
+    """
     flat = pixel.reshape(-1, 2).astype(np.float32)
     rows = 30000  # cv2.remap takes no more than 32767 rows
     parts = [
@@ -127,7 +140,10 @@ DISC_RADII = np.linspace(0.05, 0.38, 34)  # meshes: radii of the model discs
 
 
 def numbered_from_marks(image: Image, smooth: SmoothMap, node: Nodes) -> Nodes:
-    """Renumber nodes (n, 2) so that the larger disc is at (0, 0) and the smaller one at (1, 0)."""
+    """Renumber nodes (n, 2) so that the larger disc is at (0, 0) and the smaller one at (1, 0).
+
+    Raises a CalibrationError if the two discs are not found.
+    """
     origin, step = _marks(image, smooth, node)
     rotation = np.array([[step[0], step[1]], [-step[1], step[0]]])
     out: Nodes = (node - origin) @ rotation.T
@@ -135,7 +151,10 @@ def numbered_from_marks(image: Image, smooth: SmoothMap, node: Nodes) -> Nodes:
 
 
 def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
-    """Node of the larger disc, and the step from it to the smaller disc, (2,) each."""
+    """Find the two discs: the node of the larger disc (2,), and the step from it to the smaller disc (2,).
+
+    Raises a CalibrationError if they are not found.
+    """
     height, width = image.shape
     places = around(node, np.vstack([[[0, 0]], FOUR_NEIGHBOURS]))
     pixel = smooth(places)
@@ -158,7 +177,11 @@ def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
 def _pairs_of_discs(
     places: Nodes, quality: Array, radius: Array, grey: Array, min_quality: float
 ) -> list[tuple[float, Nodes, Nodes]]:
-    """Candidate pairs of discs as (score, node of the larger disc, step to the smaller), best first."""
+    """Return pairs of neighbouring nodes that may carry the larger and the smaller disc, best first.
+
+    Each pair is (score, node of the larger disc, step to the smaller disc). The other arrays are the results
+    of `_discs` for the nodes `places`; discs of less than `min_quality` are ignored.
+    """
     row = np.full((2 * REACH + 3, 2 * REACH + 3), -1)
     row[tuple((places + REACH + 1).T)] = np.arange(len(places))
     pairs = []
@@ -176,8 +199,10 @@ def _pairs_of_discs(
 
 
 def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
-    """Brightness on circles around nodes in the target's plane, in directions away from the strings.
-    Returns the excess over a typical node, (node, circle, direction), and that node, (circle, direction).
+    """Sample the brightness on circles around nodes, in directions between the strings.
+
+    Returns the brightness of each node minus that of a typical node, (node, circle, direction), and the
+    brightness of the typical node, (circle, direction).
     """
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
@@ -189,8 +214,11 @@ def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
 
 
 def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
-    """Best fit of a uniform disc to the brightness around each node: quality, radius (meshes) and grey, (n,).
-    Quality is the ratio of the brightness that the disc explains to the residual.
+    """Fit a uniform disc to the brightness around each node.
+
+    `excess` and `usual` are the results of `_circles`. Returns the quality of the fit, the radius (meshes)
+    and the grey value of each disc, each (n,). The quality is the ratio of the brightness that the disc
+    explains to the residual.
     """
     noise = np.median(np.abs(excess[:, -10:])) + 1e-3
     disc = np.clip((DISC_RADII[:, None] - CIRCLES) / 0.05 + 0.5, 0, 1)[..., None]
@@ -218,8 +246,9 @@ MAX_BLUR_CROSSINGS = 24  # used to find the blur, for speed
 
 
 def find_strings(image: Image, target: Target) -> TargetPoints:
-    """Find the crossings of a grid of white strings on a dark ground.
-    A mirrored image is not detected here, but later, because the target's poses then differ between cameras.
+    """Find the crossings of a grid of white strings on a dark ground, numbered from its two discs.
+
+    A mirrored image is not detected. Raises a CalibrationError if the grid or its discs are not found.
     """
     lattice, scale = best_lattice(image)
     node, pixel = lattice.node, lattice.pixel
@@ -232,7 +261,11 @@ def find_strings(image: Image, target: Target) -> TargetPoints:
 def _fitted(
     image: Image, node: Nodes, pixel: Array, scale: float
 ) -> tuple[Crossings, Nodes, tuple[str, ...]]:
-    """Fit all crossings, add the missing ones, reject implausible ones, and fit again with measured noise."""
+    """Fit all crossings of the grid, add crossings that were missed, and reject implausible ones.
+
+    `node` (n, 2) and `pixel` (n, 2) are the nodes found so far; `scale` is the scale of smoothing that found
+    them, px. Returns the fitted crossings, their node indices (n, 2), and notes.
+    """
     height, width = image.shape
     smooth = _smooth_map(node, pixel)
     node = node[~_under_marks(node)]
@@ -277,13 +310,13 @@ def _fitted(
 
 
 def _under_marks(node: Nodes) -> Mask:
-    """Which nodes (n, 2) the two discs cover."""
+    """Return a mask (n,): true for the nodes (n, 2) that the two discs cover."""
     out: Mask = (node[:, 1] == 0) & ((node[:, 0] == 0) | (node[:, 0] == 1))
     return out
 
 
 def _smooth_map(node: Nodes, pixel: Array) -> SmoothMap:
-    """The smooth map of the nodes; a CalibrationError if they do not lie on a plane."""
+    """Fit a smooth map from nodes to pixels; raises a CalibrationError if the nodes are not on a plane."""
     try:
         return SmoothMap(node, pixel)
     except ValueError:
@@ -291,14 +324,21 @@ def _smooth_map(node: Nodes, pixel: Array) -> SmoothMap:
 
 
 def _missing(node: Nodes) -> Nodes:
-    """Nodes that were not found, within two indices of found ones and not under a disc, (m, 2)."""
+    """Return the nodes (m, 2) within two indices of the nodes found that were not found themselves.
+
+    Nodes under a disc are left out.
+    """
     places = around(node, WINDOW)
     present = set(map(tuple, node))
     return np.array([n for n in places[~_under_marks(places)] if tuple(n) not in present]).reshape(-1, 2)
 
 
 def _plausible(fit: Crossings, expected: Array, slopes: Array) -> Mask:
-    """Which crossings are near their expected pixels, with at least three arms along the mesh vectors."""
+    """Return a mask of the crossings that look like crossings of the grid.
+
+    They are near their expected pixels `expected` (n, 2), their strings follow the mesh vectors `slopes` (n,
+    2, 2), and at least three arms are bright.
+    """
     length = np.hypot(slopes[..., 0], slopes[..., 1])
     turn = fit.angle - np.arctan2(slopes[..., 1], slopes[..., 0])
     turn = np.abs((turn + np.pi / 2) % np.pi - np.pi / 2)
@@ -315,7 +355,7 @@ def _plausible(fit: Crossings, expected: Array, slopes: Array) -> Mask:
 
 
 def _like_neighbours(fit: Crossings) -> Mask:
-    """Which crossings have strings about as wide and bright as their neighbours."""
+    """Return a mask of the crossings whose strings are about as wide and bright as at nearby crossings."""
     _, near = cKDTree(fit.pixel).query(fit.pixel, min(13, len(fit.pixel)))
     width = fit.sigma / np.median(fit.sigma[near], axis=1)
     flux = fit.flux / np.median(fit.flux[near], axis=1)
@@ -326,7 +366,10 @@ def _like_neighbours(fit: Crossings) -> Mask:
 
 
 def _lens_blur(image: Image, fit: Crossings, slopes: Array, good: Mask) -> float:
-    """Standard deviation of the blur, px, that fits the profiles of the strings best."""
+    """Return the standard deviation of the blur by lens and pixel, px, that fits the strings best.
+
+    It comes from some of the crossings that the mask `good` selects.
+    """
     chosen = np.flatnonzero(good)
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(MAX_BLUR_CROSSINGS, len(chosen))).astype(int)]
     misfit = np.empty(len(BLURS))
@@ -342,7 +385,10 @@ def _lens_blur(image: Image, fit: Crossings, slopes: Array, good: Mask) -> float
 
 
 def _noise(fit: Crossings, good: Mask) -> tuple[float, float]:
-    """Noise variance of a pixel at zero grey, and its increase per grey level, from the residuals."""
+    """Return the noise variance of a pixel at zero grey, and its increase per grey level.
+
+    Both come from the residuals of the crossings that the mask `good` selects.
+    """
     ground, at_ground, string, at_string = np.median(fit.noise[good], axis=0)
     slope = max((at_string - at_ground) / max(string - ground, 1e-3), 0.0)
     return max(at_ground - slope * ground, 0.1 * at_ground, 1e-4), slope

@@ -15,7 +15,7 @@ from wavefield.errors import CalibrationError
 
 
 def _metres(value: object) -> object:
-    """Refuse implausible lengths, such as millimetres given as metres."""
+    """Return the value if it is a plausible length in metres or None; raises a ValueError if it is not."""
     try:
         sound = value is None or 5e-5 < float(value) < 2  # type: ignore[arg-type]
     except (TypeError, ValueError):
@@ -106,7 +106,7 @@ class Target:
 
     @property
     def ringed(self) -> bool:
-        """Whether three rings mark the axes of a grid of dots, which may then be partly out of view."""
+        """Whether three rings mark the axes of a grid of dots; the grid may then be partly out of view."""
         return self.origin_mark == "ring"
 
     @classmethod

@@ -28,7 +28,7 @@ TABLES = (".csv", ".txt", ".dat", "")  # suffixes of tables of points that anoth
 
 @dataclass(frozen=True)
 class TargetRig:
-    """Result of calibrating an experiment."""
+    """Result of `calibrate_experiment`: the calibrated rig and what was found in each image."""
 
     calibration: Calibration  # The rig and its uncertainties
     views: dict[str, dict[str, TargetPoints]]  # Points found, by camera and pose of the target
@@ -82,7 +82,10 @@ def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
 
 
 def scaled(image: NDArray[np.generic]) -> Image:
-    """Convert an image to float32 with its brightest patch at 255; refuse one that cannot show a target."""
+    """Convert an image to float32, and scale it so that its brightest patch has the value 255.
+
+    Raises a CalibrationError if the image is too small, not grey, not finite, or empty.
+    """
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE:
         raise CalibrationError(
@@ -102,7 +105,11 @@ def scaled(image: NDArray[np.generic]) -> Image:
 
 
 def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None = None) -> TargetPoints | str:
-    """Find the target in one image or table; return a sentence if that fails."""
+    """Find the target in an image file, or read its points from a table.
+
+    Returns the points, or a sentence for the user if that fails. `size` (width, height) is used for a table
+    that does not state the size of the image.
+    """
     try:
         if is_table(path):
             return read_points(path, size, unit=target.mesh if target.kind == "points" else None)
@@ -113,7 +120,7 @@ def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None = Non
 
 
 def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
-    """Width and height of each camera's images, px; an empty mapping if there are no images yet."""
+    """Return the (width, height) of each camera's frames, px; an empty dict if frames cannot be opened."""
     try:
         return {name: (one.shape[1], one.shape[0]) for name, one in experiment.open_frames().items()}
     except (ExperimentError, FrameError):
@@ -121,13 +128,16 @@ def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
 
 
 def placed_at(points: TargetPoints, height: float) -> TargetPoints:
-    """Place points at a known height (metres): the target is parallel to z = 0, with the frame's axes."""
+    """Return the points of a target that lies parallel to z = 0 at a known height, metres.
+
+    The target's axes are then those of the physical frame, and the points are marked as `placed`.
+    """
     own = np.zeros(len(points)) if points.z is None else points.z
     return replace(points, z=own + height, placed=True)
 
 
 def is_table(path: Path) -> bool:
-    """Whether a file is a table of points, not an image."""
+    """Return whether a file is a table of points, by the ending of its name."""
     return path.suffix.lower() in TABLES
 
 

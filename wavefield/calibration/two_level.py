@@ -26,8 +26,10 @@ MAX_OFF_SITE = 0.16  # meshes between a mark and the midpoint of two dots
 
 
 class PlateLevel:
-    """Dots of one level: indices in the level's own lattice, pixels, and the map between them.
-    In meshes a dot is at ``2 node + shift``; the shift is 0 on the first level and 1 on the second.
+    """The dots of one level of a two-level target, with a smooth map from their indices to pixels.
+
+    `node` (n, 2) are indices in the level's own lattice. The dots are two meshes apart: in meshes, a dot is
+    at ``2 node + shift``. `shift` is 0 on the first level and 1 on the second.
     """
 
     def __init__(self, node: Nodes, pixel: Array, shift: int = 0) -> None:
@@ -37,7 +39,7 @@ class PlateLevel:
         self.side = float(np.median(np.hypot(slopes[..., 0], slopes[..., 1])))
 
     def index_of(self, pixel: Array) -> Array:
-        """Fractional node indices (n, 2) of pixels (n, 2), by Newton's method."""
+        """Return the indices (n, 2) in the level's lattice, as fractions, of the pixels (n, 2)."""
         inverse = np.linalg.inv(self.smooth.matrix)
         q = np.c_[pixel, np.ones(len(pixel))] @ inverse.T
         index: Array = q[:, :2] / q[:, 2:]
@@ -52,9 +54,10 @@ PlateAxes = tuple[Nodes, Nodes, Nodes]
 
 
 def marks_in_place(image: Image, level: PlateLevel) -> tuple[PlateAxes, Nodes] | None:
-    """Axes from a square and a triangle that replace two dots of a level, and their nodes (2, 2).
-    These are the two patches in one row or column that differ most from a typical dot, if one of them is
-    skewed. The x axis points from the square to the triangle. None if there is no such pair.
+    """Find a square and a triangle that replace two dots of a level.
+
+    Returns the axes (origin, x, y) that they define, and the nodes (2, 2) of the square and the triangle. The
+    square is the origin, and x points from it to the triangle. None if there is no such pair.
     """
     patch = _patches(image, level, level.node.astype(float), level.pixel)
     difference = np.abs(patch - np.median(patch, 0)).mean(1)
@@ -84,9 +87,11 @@ def marks_in_place(image: Image, level: PlateLevel) -> tuple[PlateAxes, Nodes] |
 
 
 def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Array) -> PlateAxes | None:
-    """Axes from a triangle between two dots of `level` and a square between two dots of the other level.
-    The origin is the dot next to both marks; x points to the triangle, y to the square. `centre` (n, 2), px,
-    holds all blobs. None if there are no such marks.
+    """Find a triangle between two dots of `level` and a square between two dots of `other`.
+
+    Returns the axes (origin, x, y) that they define. The origin is the dot next to both marks; x points to
+    the triangle and y to the square. `centre` (n, 2), px, holds the centres of all blobs. None if there are
+    no such marks.
     """
     near = [cKDTree(one.pixel).query(centre)[0] < 0.1 * one.side for one in (level, other)]
     rest = centre[~near[0] & ~near[1]]
@@ -108,7 +113,10 @@ def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Ar
 
 
 def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
-    """Blobs midway between two dots of a row or column: index of the pixel, and position in meshes (2,)."""
+    """Find the pixels that are midway between two dots of a row or column of the level.
+
+    Returns, by the index of the pixel in `pixel` (n, 2), its position in meshes (2,).
+    """
     mesh = 2 * level.index_of(pixel) + level.shift
     site = np.rint(mesh).astype(np.int64)
     good = (np.abs(mesh - site) < MAX_OFF_SITE).all(1) & (site.sum(1) % 2 == 1)
@@ -116,19 +124,23 @@ def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
 
 
 def _right_handed(level: PlateLevel, index: Array, x: Nodes, y: Nodes) -> bool:
-    """Whether steps x and y (2,) at a node are right-handed seen from above."""
+    """Return whether the steps x and y (2,) at a node of index `index` are right-handed seen from above."""
     slopes = level.smooth.slopes(np.asarray(index, float)[None])[0]
     return cross(x @ slopes, y @ slopes) < 0  # image rows run downwards
 
 
 def _square_first(patch: Array) -> Nodes | None:
-    """Order of two patches, the square before the triangle; None if their skewness is similar."""
+    """Return the indices that put the square before the triangle; None if two patches are too similar."""
     skewness = np.array([_skewness(one) for one in patch])
     return None if skewness.max() < 2.0 * skewness.min() else np.argsort(skewness)
 
 
 def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Array:
-    """Patches around pixels, sampled along the target's axes, (n, samples), with brightness from 0 to 1."""
+    """Sample the image around pixels on grids along the target's axes.
+
+    `index` (n, 2) are the pixels' indices in the lattice of `level`. Returns patches (n, samples), with
+    brightness from 0 to 1.
+    """
     a = PATCH_REACH * np.linspace(-1, 1, PATCH_SAMPLES)
     offset = np.stack(np.meshgrid(a, a), -1).reshape(-1, 2)
     places = level.smooth((index[:, None] + offset).reshape(-1, 2)).astype(np.float32)
@@ -143,7 +155,10 @@ def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Arr
 
 
 def _skewness(patch: Array) -> float:
-    """Third moments of a patch over its radius of gyration cubed: large for triangles, small for squares."""
+    """Return the asymmetry of the shape in a patch: large for triangles, small for squares and discs.
+
+    It is the size of the third moments over the cube of the radius of gyration.
+    """
     light = np.where(patch > 0.3, patch, 0.0)
     a = np.linspace(-1, 1, PATCH_SAMPLES)
     x, y = (v.ravel() for v in np.meshgrid(a, a))
@@ -160,8 +175,11 @@ DECISIVE_FRACTION = 0.4  # of all dots; a level with more of them ends the searc
 
 
 def find_two_level(image: Image, target: Target) -> TargetPoints:
-    """Find the dots of a two-level target, dark on bright or bright on dark; it may be partly out of view.
-    The parallax between the levels must be less than a mesh, or dots are confused with their neighbours.
+    """Find the dots of a two-level target, dark on bright or bright on dark.
+
+    The target may be partly out of view, but its two marks must be in view. The parallax between the levels
+    must be less than a mesh, or dots are confused with their neighbours. Raises a CalibrationError if the two
+    levels or the marks are not found.
     """
     best: tuple[int, Image, PlateLevel, PlateLevel, Array] | None = None
     for polarity in (image, 255.0 - image):
@@ -200,7 +218,10 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
 
 
 def _width(level: PlateLevel, target: Target) -> float:
-    """Width of a typical dot, px, along its minor axis; infinite if the target's diameter is not stated."""
+    """Return the smaller width of a typical dot of a level, px.
+
+    It is infinite if the target's diameter is not stated.
+    """
     if not target.diameter:
         return np.inf
     sizes = np.linalg.svd(level.smooth.slopes(level.node), compute_uv=False)[:, 1]
@@ -208,7 +229,11 @@ def _width(level: PlateLevel, target: Target) -> float:
 
 
 def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLevel | None:
-    """The largest lattice whose cells have a dot of the other level near their middle; None if none has."""
+    """Find the level with the most dots; the middles of its cells must hold dots of the other level.
+
+    `centre` (n, 2), px, and `area` (n,) describe all dots; `size` is the image's (width, height). None if
+    there is no such level.
+    """
     if len(centre) < 2 * LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)
@@ -228,7 +253,7 @@ def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLeve
 
 
 def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel | None:
-    """A level without its outliers; None if too few dots are left."""
+    """Make a level from dots without outliers; None if too few dots are left."""
     try:
         level = PlateLevel(node, pixel, shift)
     except (ValueError, np.linalg.LinAlgError):
@@ -240,9 +265,10 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
 
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
-    """Candidate pairs of mesh vectors at dot k, px: dots exist at their opposites and at their sum as well.
+    """Return pairs of mesh vectors, px, with which a lattice may grow from dot k.
 
-    Pairs that span the smallest cells come first.
+    A vector is accepted only if dots exist at its end, at its opposite, and at the sum of the two vectors.
+    Pairs that span the smallest cells come first. `tree` is the search tree of `centre` (n, 2), px.
     """
     _, near = tree.query(centre[k], min(22, len(centre)))
     vectors = centre[near[1:]] - centre[k]
@@ -263,7 +289,7 @@ def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array,
 
 
 def _middles_filled(level: PlateLevel, centre: Array) -> bool:
-    """Whether the other dots are near the middles of the cells, not on their edges."""
+    """Return whether most dots that do not belong to a level are near the middles of its cells."""
     rest = _other_dots(level, centre)
     if len(rest) < LIMITS.min_nodes:
         return False
@@ -272,7 +298,7 @@ def _middles_filled(level: PlateLevel, centre: Array) -> bool:
 
 
 def _other_dots(level: PlateLevel, centre: Array) -> Array:
-    """Dots within the level's extent that do not belong to it, (n, 2), px."""
+    """Return the dots (n, 2), px, in the area of a level that do not belong to it."""
     distance, _ = cKDTree(level.pixel).query(centre)
     rest = centre[distance > 0.1 * level.side]
     if not len(rest):
@@ -283,7 +309,11 @@ def _other_dots(level: PlateLevel, centre: Array) -> Array:
 
 
 def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
-    """The other level: dots shifted from the middles of the cells by a slowly varying parallax."""
+    """Find the other level: the dots near the middles of the cells of level `one`.
+
+    The parallax between the levels, which shifts them from the middles, may vary slowly. None if there are
+    too few.
+    """
     rest = _other_dots(one, centre)
     if len(rest) < LIMITS.min_nodes:
         return None
@@ -308,7 +338,10 @@ def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
 def _numbered(
     image: Image, marked: PlateLevel, second: PlateLevel, marks: tuple[PlateAxes, Nodes], target: Target
 ) -> TargetPoints:
-    """Target points of both levels, with nodes in meshes from the origin."""
+    """Return the target points of both levels, with indices in meshes from the origin.
+
+    `marks` are the axes and the nodes of the level `marked` that marks replace; these nodes are left out.
+    """
     (origin, x, y), replaced = marks
     no_mark = ~(marked.node[:, None] == replaced).all(2).any(1)
 
