@@ -64,8 +64,8 @@ def best_lattice(image: Image) -> tuple[TargetLattice, float]:
 def _light_along(image: Image, lattice: TargetLattice) -> float:
     """Measure how much brighter the lines between neighbouring nodes are than their surroundings.
 
-    Returns the sum over all lines of excess brightness times length, grey px. It is small for a lattice that noise
-    or dirt forms, because there are no strings between its nodes.
+    Returns the sum over all lines of excess brightness times length, grey px. It is small for a lattice that
+    noise or dirt forms, because there are no strings between its nodes.
     """
     place, filled = lattice.place, lattice.filled
     along = np.linspace(0.25, 0.75, 16)[None, :, None]

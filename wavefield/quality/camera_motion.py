@@ -43,7 +43,7 @@ Images = Mapping[str, NDArray[Any] | None]  # image of each camera at one frame
 
 @dataclass(frozen=True)
 class Delay:
-    """Delay of one camera's frames relative to the others."""
+    """A delay, with its uncertainty: of one camera behind another, or of an image row behind the row above."""
 
     seconds: float  # Negative if earlier
     std: float  # Standard uncertainty, s
@@ -51,7 +51,7 @@ class Delay:
 
 @dataclass(frozen=True)
 class Sample:
-    """Patches that two cameras match at one frame."""
+    """Means over the patches of the water that two cameras match at one frame."""
 
     eps_y: Array  # (m,): Mean epipolar error, px on the water
     velocity: Array  # (m,): Velocity of the beads across the parallax, px per frame
@@ -61,7 +61,7 @@ class Sample:
 
 
 class Synchrony(NamedTuple):
-    """Delays between cameras, and between the rows of their images."""
+    """Result of `delays`: delays between cameras, and the delay from one image row to the next."""
 
     delays: dict[str, Delay]  # Delay of each camera relative to the median camera
     speed: float = 0.0  # Median speed of the beads, px/s
@@ -72,10 +72,11 @@ class Synchrony(NamedTuple):
 def sample(
     geometry: "GridGeometry", pair: Pair, flat: Mapping[str, Any], displacement: NDArray[np.floating]
 ) -> Sample | None:
-    """Mean eps_y and velocity in the patches that two cameras match; None if these are too few.
+    """Average the epipolar error eps_y and the velocity over the patches that two cameras match.
 
-    ``flat`` holds the filtered image of each camera. ``displacement`` (3, ny, nx) is the displacement at the
-    grid nodes, metres per frame, NaN where not measured.
+    ``flat`` holds the filtered image of each camera. ``displacement`` (3, ny, nx) is the displacement of the
+    water at the grid nodes, metres per frame, NaN where not measured. Returns None if an image is missing or
+    too few patches match.
     """
     from wavefield.measurement.pair import match_pair
 
@@ -112,12 +113,20 @@ def sample(
 
 
 def _sight_slope(camera: "Camera", axis: int, v: Array) -> Array:
-    """Horizontal shift of a sight line's intersection with the water per metre of elevation."""
+    """Return how far a sight line's intersection with the water shifts per metre of elevation.
+
+    The shift is along x (``axis`` 0) or y (1), for sight lines that meet z = 0 at the coordinates ``v``,
+    metres.
+    """
     return np.asarray((v - camera.centre[axis]) / -camera.centre[2])
 
 
 def _patch_means(values: Array, side: float) -> Array:
-    """Means of (n, blocks) values over square patches; rows 0, 1 are x, y; drops sparse patches."""
+    """Average quantities, given in blocks, over square patches of the field.
+
+    ``values`` is (quantities, blocks); its first two rows are x and y, and ``side`` is the side of a patch in
+    the same unit. Returns (quantities, patches) without patches that hold few blocks.
+    """
     if not values.size:
         return values
     column, row = np.floor((values[:2] - values[:2].min(axis=1)[:, None]) / side).astype(np.intp)
@@ -128,12 +137,14 @@ def _patch_means(values: Array, side: float) -> Array:
 
 
 def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
-    """Delay of the second camera behind the first and its standard uncertainty, in frame intervals.
+    """Fit the delay of the second camera behind the first to samples of several frames.
 
-    Robust least squares (Huber weights, cut at 2.5 standard deviations). None for fewer than two frames, or
-    if the water hardly moves. The uncertainty is a jackknife over `CELLS` x `CELLS` parts of the field, each
-    left out at all frames: neighbouring patches are correlated, frames may show the same beads, and one part
-    alone may determine the delay.
+    Returns the delay and its standard uncertainty, in frame intervals; None for fewer than two frames, or if
+    the water hardly moves. The fit is a robust regression of eps_y on the velocity across the parallax.
+
+    The uncertainty is a jackknife over `CELLS` x `CELLS` parts of the field, each left out at all frames:
+    neighbouring patches are correlated, frames may show the same beads, and one part alone may determine the
+    delay.
     """
     if len(samples) < 2:
         return None
@@ -155,7 +166,11 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
 
 
 def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[float, list[Array]]:
-    """Weighted least-squares delay, in frame intervals, and the residual eps_y of each sample."""
+    """Fit the delay by weighted least squares.
+
+    ``weights`` holds the weights of the patches of each sample. Returns the delay, in frame intervals, and
+    the residuals of eps_y of each sample, px.
+    """
     residuals = [_residuals(s, w) for s, w in zip(samples, weights)]
     power = sum(float((w * v * v).sum()) for (_, v), w in zip(residuals, weights))
     delay = sum(float((w * v * y).sum()) for (y, v), w in zip(residuals, weights)) / max(power, 1e-12)
@@ -163,7 +178,11 @@ def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[flo
 
 
 def _residuals(one: Sample, weight: Array) -> tuple[Array, Array]:
-    """Residuals of eps_y and of velocity after a weighted fit of the design columns."""
+    """Remove a constant and linear terms in x and y from eps_y and from the velocity.
+
+    These terms are fitted with the weights of the patches (m,). Returns the rest of eps_y and of the
+    velocity, each (m,).
+    """
     root = np.sqrt(weight)[:, None]
     both = np.stack([one.eps_y, one.velocity], axis=-1)
     fit = np.linalg.lstsq(root * one.design, root * both, rcond=None)[0]
@@ -172,7 +191,10 @@ def _residuals(one: Sample, weight: Array) -> tuple[Array, Array]:
 
 
 def fit_row_time(samples: Sequence[Sample]) -> tuple[float, float] | None:
-    """Delay from row to row, equal in both cameras, and its standard uncertainty, in frame intervals."""
+    """Fit the delay from one image row to the next, which is assumed to be equal in both cameras.
+
+    Returns the delay and its standard uncertainty, in frame intervals; None if they cannot be determined.
+    """
     return regress(
         [
             replace(s, velocity=s.velocity * s.rows, design=np.column_stack([s.design, s.velocity]))
@@ -183,7 +205,10 @@ def fit_row_time(samples: Sequence[Sample]) -> tuple[float, float] | None:
 
 
 def _cell_numbers(one: Sample) -> NDArray[np.intp]:
-    """Number of the part of the field that contains each patch."""
+    """Return, for each patch (m,), the number of the part of the field in which it lies.
+
+    The field has `CELLS` x `CELLS` parts.
+    """
     column, row = np.clip((one.design[:, 1:3].T + 1) * (0.5 * CELLS), 0, CELLS - 1).astype(np.intp)
     return np.asarray(row * CELLS + column)
 
@@ -197,11 +222,14 @@ def delays(
     rate: float,
     threads: int = 1,
 ) -> Synchrony:
-    """Delay of each camera relative to the median camera, and delay from row to row.
+    """Measure the delays between cameras, and the delay from one image row to the next.
 
-    ``images`` returns the images of a frame by camera. ``displacement`` returns the displacement at the grid
-    nodes at that frame, (3, ny, nx), metres per frame, NaN where not measured. ``rate`` is in Hz. The result
-    is empty if the delay of any pair is not determined.
+    ``images`` returns the images of a frame by camera. ``displacement`` returns the displacement of the water
+    at the grid nodes at that frame, (3, ny, nx), metres per frame, NaN where not measured. ``frames`` are the
+    frames to use, ``record`` holds the width of the beads in each camera, and ``rate`` is the frame rate, Hz.
+
+    The delays are relative to the median camera. The result is empty if the delay of any pair of cameras is
+    not determined.
     """
     pair_delays: dict[Pair, tuple[float, float]] = {}
     row_times: list[tuple[float, float]] = []
@@ -234,7 +262,10 @@ def delays(
 def _prepared(
     images: Mapping[str, NDArray[Any] | None], geometry: "GridGeometry", widths: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Images of one frame, filtered for matching between cameras; missing or bad images are left out."""
+    """Filter the images of one frame for matching between cameras; returns them by camera.
+
+    Missing or bad images are left out. ``widths`` is the width of the beads in each camera, px.
+    """
     from wavefield.measurement.images import prepare, ready, usable
 
     out = {}
@@ -247,7 +278,11 @@ def _prepared(
 
 
 def _camera_delays(found: Mapping[Pair, tuple[float, float]], rate: float) -> dict[str, Delay]:
-    """Delay of each camera in seconds, from the delays of pairs with the reference camera in frames."""
+    """Convert delays of pairs, in frame intervals, to the delay of each camera, in seconds.
+
+    ``found`` holds the delay and its uncertainty for each pair (reference camera, other camera). The result
+    is relative to the median camera, or to the reference camera if there are only two.
+    """
     delays = {next(iter(found))[0]: (0.0, 0.0)} | {name: one for (_, name), one in found.items()}
     # only differences are measured: zero is the median camera of three or more, the reference camera of two
     median = next(iter(delays))
@@ -262,7 +297,7 @@ def _camera_delays(found: Mapping[Pair, tuple[float, float]], rate: float) -> di
 
 
 def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
-    """Report delays between cameras, and a rolling shutter that the experiment file does not give."""
+    """Report cameras that are delayed, and a rolling shutter that the experiment file does not mention."""
     for name, one in found.delays.items():
         off, word = abs(one.seconds) * found.speed, "later" if one.seconds > 0 else "earlier"
         if abs(one.seconds) > SIGNIFICANCE * one.std and off > MAX_EPS_Y:
@@ -296,7 +331,7 @@ def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
 
 
 def spell_delays(found: Mapping[str, Delay]) -> str:
-    """Delays of the cameras in words, relative to the one without uncertainty."""
+    """Describe the delays of the cameras in words, relative to the camera whose delay has no uncertainty."""
     first = next((name for name, one in found.items() if one.std == 0), "")
     words = []
     for name, one in found.items():
@@ -316,7 +351,7 @@ MIN_STEPS_PER_SIDE = 3  # steps before and after a jump
 
 @dataclass(frozen=True)
 class CameraMotion:
-    """Constant and linear terms fitted to the epipolar error eps_y of each step."""
+    """Motion of the cameras, as a constant and linear terms fitted to the epipolar error of each step."""
 
     steps: NDArray[np.intp]  # (n,): Steps with enough measured nodes
     coefficients: Array  # (n, 3), px: eps_y at mid-field; its change from there to the right and upper edge
@@ -325,14 +360,14 @@ class CameraMotion:
 
 @dataclass(frozen=True)
 class Knock:
-    """A sudden turn of a camera."""
+    """A sudden turn of a camera within the record."""
 
     frame: int  # First frame after the knock (index in the record)
     size: float  # Change of eps_y, rms over the field, px
 
 
 def camera_motion(cube: xr.Dataset) -> CameraMotion:
-    """Fit a constant and linear terms to eps_y at every step of a cube."""
+    """Fit a constant and linear terms in x and y to the epipolar error eps_y of each step of a cube."""
     count, ny, nx = cube.eps_y.shape
     every = slice(None, None, max(1, int(np.sqrt(ny * nx / MAX_NODES))))
     x, y = np.meshgrid(*(np.linspace(-1, 1, n)[every] for n in (nx, ny)))
@@ -349,7 +384,10 @@ def camera_motion(cube: xr.Dataset) -> CameraMotion:
 
 
 def _fit_linear(design: Array, values: Array) -> tuple[Array, Array] | None:
-    """Coefficients fitted without outliers, and their standard uncertainties; None for too few values."""
+    """Fit the columns of ``design`` (n, 3) to ``values`` (n,), without outliers and missing values.
+
+    Returns the coefficients (3,) and their standard uncertainties (3,); None if too few values are left.
+    """
     near = np.isfinite(values)
     if near.sum() >= MIN_NODES:
         departure = values - np.median(values[near])
@@ -363,7 +401,11 @@ def _fit_linear(design: Array, values: Array) -> tuple[Array, Array] | None:
 
 
 def find_jump(series: Array) -> int | None:
-    """Index of the first value after the largest jump of a series (n, 3), px; None without a jump."""
+    """Find the largest jump of a series (n, 3) of coefficients of eps_y, px.
+
+    Returns the index of the first value after the jump; None if no jump is larger than the scatter and
+    `MAX_EPS_Y`.
+    """
     n = len(series)
     if n < 2 * MIN_STEPS_PER_SIDE:
         return None
@@ -379,7 +421,7 @@ def find_jump(series: Array) -> int | None:
 
 
 def find_knock(found: CameraMotion) -> Knock | None:
-    """The largest jump of eps_y, dated to a frame; None without a jump."""
+    """Find the largest jump of eps_y, and the first frame after it; None without a jump."""
     at = find_jump(found.coefficients)
     if at is None:
         return None
@@ -392,9 +434,10 @@ def find_knock(found: CameraMotion) -> Knock | None:
 
 
 def vibration_rms(found: CameraMotion, knocked: Knock | None) -> tuple[float, float]:
-    """Rms variation of eps_y over field and steps, and its standard uncertainty, px.
+    """Return the rms variation of eps_y over the field and the steps, and its standard uncertainty, px.
 
-    The parts before and after a knock have a mean each. The noise of the fits is subtracted.
+    The means before and after the knock ``knocked`` are subtracted separately. The noise of the fits is
+    subtracted from the variance.
     """
     cut = np.searchsorted(found.steps, knocked.frame) if knocked else 0
     halves = found.coefficients[:cut], found.coefficients[cut:]
@@ -408,7 +451,7 @@ def vibration_rms(found: CameraMotion, knocked: Knock | None) -> tuple[float, fl
 
 
 def remarks_on_mounts(cube: xr.Dataset) -> Iterator[Remark]:
-    """Report cameras that were knocked within the record, or that vibrate."""
+    """Report a camera that was knocked within the record, and cameras that vibrate."""
     found = camera_motion(cube)
     if len(found.steps) < 2 * MIN_STEPS_PER_SIDE:
         return

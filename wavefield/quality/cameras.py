@@ -54,7 +54,10 @@ MAX_BLUR_RATIO = 1.6  # width of beads over that in the other cameras, in px and
 
 @dataclass
 class PatchMatcher:
-    """Patches of the cameras' images, resampled on the plane of the water at rest when first used."""
+    """Square patches of the cameras' images, resampled on the plane of the water at rest.
+
+    The patches of an image are made when they are first used, and then kept.
+    """
 
     read: Read  # Reads an image
     rig: Rig  # Calibrated cameras
@@ -67,7 +70,10 @@ class PatchMatcher:
         self._patches: dict[tuple[str, int, str, str], Image | None] = {}
 
     def _places(self) -> tuple[Array, Array]:
-        """Centres x, y of the patches in m, spread over the area that all cameras see."""
+        """Choose the patches: returns the coordinates x, y of their centres, each (n,), metres.
+
+        They are spread over the area that all cameras see.
+        """
         pitch = SIDE * self.pixel
         limits = (self.grid.x, self.grid.y)
         x, y = (np.arange(low + pitch / 2, high - pitch / 2 + 1e-9, pitch) for low, high in limits)
@@ -90,9 +96,11 @@ class PatchMatcher:
         return self._maps[name]
 
     def patches(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
-        """Patches of one image with their search margins, (n, WHOLE, WHOLE) grey levels; cached.
+        """Return the patches of the image of camera ``name`` at a frame, in grey levels.
 
-        ``change`` names a flip of `FLIPS`; ``through`` is a camera whose calibration is used instead.
+        The result (n, WHOLE, WHOLE) includes search margins and is cached; it is None without an image.
+        ``change`` names a flip of `FLIPS` that is applied to the image first. ``through`` names a camera
+        whose calibration is used instead of the camera's own.
         """
         key = (name, frame, change, through)
         if key not in self._patches:
@@ -100,14 +108,17 @@ class PatchMatcher:
         return self._patches[key]
 
     def sampled(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
-        """As `patches`, but not cached."""
+        """Return the same as `patches`, but do not cache it."""
         image = self.read(name, frame)
         if image is not None and change:
             image = np.asarray(image)[FLIPS[change]]
         return _sampled(image, *self._map(through or name))
 
     def textured(self, name: str, frame: int) -> NDArray[np.bool_]:
-        """True for patches (n,) whose contrast is at least a fifth of the image's median contrast."""
+        """Return a mask (n,) of the patches that show texture in one image.
+
+        Their contrast is more than a fifth of the median contrast of the image's patches.
+        """
         patches = self.patches(name, frame)
         if patches is None:
             return np.zeros(len(self.x), bool)
@@ -116,13 +127,16 @@ class PatchMatcher:
         return np.asarray(contrast > 0.2 * (np.median(some) if some.size else np.inf))
 
     def across(self, pair: Pair) -> tuple[Array, Array]:
-        """Unit vectors along and across the parallax of two cameras, each (n, 2)."""
+        """Return unit vectors along and across the parallax of two cameras, (n, 2) each, at the n patches."""
         along = self._rise(pair)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
         return along, np.stack([-along[:, 1], along[:, 0]], axis=-1)
 
     def parallax(self, pair: Pair) -> Array:
-        """Displacement between the two cameras' images per height of the water, m/m, (n,)."""
+        """Return the parallax of two cameras at the n patches, (n,), m/m.
+
+        It is the displacement between their images on z = 0 per height of the water.
+        """
         return np.asarray(np.maximum(np.linalg.norm(self._rise(pair), axis=1), 1e-12))
 
     def _rise(self, pair: Pair) -> Array:
@@ -130,7 +144,11 @@ class PatchMatcher:
 
 
 def _sampled(image: NDArray[np.generic] | None, column: Image, row: Image) -> Image | None:
-    """Squares (n, WHOLE, WHOLE) of an image, sampled at pixel positions (n WHOLE, WHOLE); NaN outside it."""
+    """Sample squares (n, WHOLE, WHOLE) of an image at pixel positions; NaN outside the image.
+
+    ``column`` and ``row`` (n WHOLE, WHOLE) are the positions. Floating-point images are scaled to a largest
+    value of 255. None if there is no image.
+    """
     if image is None:
         return None
     flat = np.ascontiguousarray(image, np.float32)
@@ -143,14 +161,15 @@ def _sampled(image: NDArray[np.generic] | None, column: Image, row: Image) -> Im
 
 
 def middle(patches: Image) -> Image:
-    """The patches (n, SIDE, SIDE) without their search margins."""
+    """Return the patches (n, SIDE, SIDE) without the search margins of (n, WHOLE, WHOLE)."""
     return patches[:, REACH : REACH + SIDE, REACH : REACH + SIDE]
 
 
 def compare(first: Image | None, second: Image | None) -> Array | None:
-    """Displacement in px, (n, 2), from the middle of each first patch to its match in the second.
+    """Find, for each patch of the first camera, its displacement in the second camera, (n, 2), px.
 
-    Both are (n, WHOLE, WHOLE). NaN without a match; None if an image is missing.
+    Both arguments are (n, WHOLE, WHOLE). The displacement is NaN without a match. Returns None if an image is
+    missing.
     """
     if first is None or second is None:
         return None
@@ -168,7 +187,7 @@ def compare(first: Image | None, second: Image | None) -> Array | None:
 
 @dataclass(frozen=True)
 class PairConsistency:
-    """Agreement of two cameras at one frame."""
+    """How well the images of two cameras agree at one frame."""
 
     fraction: float  # Fraction of the patches that match with an eps_y near the linear fit
     eps_y: Array  # (m,): Epipolar error of these patches, px on the water
@@ -180,8 +199,9 @@ class PairConsistency:
 def agreement(
     patch_matcher: PatchMatcher, pair: Pair, moved: Array | None, ground: NDArray[np.bool_] | None = None
 ) -> PairConsistency:
-    """Agreement of two cameras, from the displacements ``moved`` (n, 2) between their patches, px.
+    """Judge how well two cameras agree, from the displacements between their patches.
 
+    ``moved`` (n, 2) are these displacements, px, NaN without a match, or None if an image is missing.
     ``ground`` (n,) is True for the patches to compare; by default all.
     """
     n = len(patch_matcher.x)
@@ -205,17 +225,20 @@ def agreement(
 
 
 def scaled(v: Array) -> Array:
-    """Coordinates relative to their mean, in units of half their range."""
+    """Scale coordinates to the range -1 to 1: subtract their mean and divide by half their range."""
     return np.asarray((v - v.mean()) / max(float(np.ptp(v)) / 2, 1e-12))
 
 
 def rms_over_field(smooth: Array) -> float:
-    """Rms over the field of a linear eps_y with the coefficients (3,) of `PairConsistency.smooth`, px."""
+    """Return the rms over the field of a linear epipolar error, px.
+
+    ``smooth`` (3,) holds its coefficients, as in `PairConsistency`.
+    """
     return float(np.sqrt(smooth[0] ** 2 + (smooth[1] ** 2 + smooth[2] ** 2) / 3))
 
 
 class ConsistencyTable:
-    """Agreement of all pairs of cameras at all sampled frames."""
+    """Agreement of every pair of cameras at every sampled frame, and the blur and texture of each image."""
 
     def __init__(
         self, patch_matcher: PatchMatcher, names: list[str], frames: tuple[int, ...], threads: int = 1
@@ -234,10 +257,11 @@ class ConsistencyTable:
     def compare(
         self, pair: Pair, frame: int, images: Pair | None = None, *, change: str = "", later: int = 0
     ) -> PairConsistency:
-        """Agreement of a pair at a frame.
+        """Compare the two cameras of a pair at a frame, if required after a change.
 
-        ``images`` names cameras whose images replace those of the pair, with the pair's calibrations.
-        ``change`` flips the second image; ``later`` takes it so many frames later.
+        ``images`` names two cameras whose images replace the pair's own images, while the calibrations remain
+        the pair's. ``change`` names a flip of the second image. ``later`` is the number of frames by which
+        the second image is taken later.
         """
         patch_matcher, (a, b), (first, second) = self.patch_matcher, pair, images or pair
         one = patch_matcher.patches(first, frame, "", a)
@@ -248,11 +272,18 @@ class ConsistencyTable:
         return agreement(patch_matcher, pair, found, ground)
 
     def level(self) -> float:
-        """Fraction of matched patches above which two cameras agree: half of the best pair's fraction."""
+        """Return the fraction of matched patches from which on two cameras are said to agree.
+
+        It is half of the best pair's fraction, but at least `MIN_AGREEMENT`.
+        """
         return max(MIN_AGREEMENT, HALF * max(score(found) for found in self.found.values()))
 
     def pair_numbers(self) -> dict[str, dict[str, list[float]]]:
-        """Fraction of matched patches and rms eps_y (px) of every pair of cameras, one value per frame."""
+        """Return, for each pair of cameras, two lists with one value per frame.
+
+        ``agreement`` is the fraction of matched patches, and ``eps_y`` is the rms of the linear fit of eps_y,
+        px.
+        """
         return {
             "-".join(pair): {
                 "agreement": [round(one.fraction, 3) for one in found],
@@ -263,7 +294,10 @@ class ConsistencyTable:
 
 
 def score(found: Sequence[PairConsistency]) -> float:
-    """Mean fraction of matched patches over the frames; 0 if eps_y scatters too much to trust them."""
+    """Return the mean over the frames of the fraction of matched patches of a pair of cameras.
+
+    It is 0 if eps_y scatters so much that the matches are probably wrong.
+    """
     scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= MIN_PATCHES]
     if not scatter or float(np.median(scatter)) >= MAX_SCATTER:
         return 0.0
@@ -271,10 +305,10 @@ def score(found: Sequence[PairConsistency]) -> float:
 
 
 def blur(image: NDArray[np.generic] | None) -> float:
-    """Standard deviation s of the finest details of an image (row, column), px; NaN if there are none.
+    """Return the standard deviation s of the finest details of an image (row, column), px.
 
-    The autocorrelation of Gaussian beads at the lag d is r(d) ~ exp(-d^2 / 4 s^2), so that
-    s^2 = 3 / (4 ln(r(1) / r(2))). Noise affects only r(0).
+    NaN if there is no image or no detail. The autocorrelation of Gaussian beads at the lag d, px, is r(d) ~
+    exp(-d^2 / 4 s^2), so that s^2 = 3 / (4 ln(r(1) / r(2))). Noise affects only r(0).
     """
     if image is None:
         return float("nan")
@@ -301,10 +335,11 @@ class CameraFaults:
 def find_camera_faults(
     patch_matcher: PatchMatcher, count: int, frames: Sequence[int], threads: int = 1
 ) -> CameraFaults:
-    """Compare the cameras at some frames, and report their faults.
+    """Compare the cameras with each other at some frames, and report their faults.
 
-    ``count`` is the number of frames of the record. Frames that a camera lacks are skipped. The result has no
-    remarks if fewer than two cameras, no complete frame or too few patches are left.
+    ``count`` is the number of frames of the record, and ``frames`` are the indices of those to compare.
+    Frames that a camera lacks are skipped. The result has no remarks if fewer than two cameras, no complete
+    frame or too few patches are left.
     """
     names = list(patch_matcher.rig)
     complete = tuple(k for k in frames if all(patch_matcher.read(name, k) is not None for name in names))
@@ -324,7 +359,7 @@ def find_camera_faults(
 
 
 def _covered(table: ConsistencyTable) -> Iterator[Remark]:
-    """Report cameras without texture in a part of the field where most of the others have it."""
+    """Report cameras without texture in a part of the field where most of the other cameras see texture."""
     for name in table.names:
         covered = []
         for ground in table.grounds.values():
@@ -344,7 +379,7 @@ def _covered(table: ConsistencyTable) -> Iterator[Remark]:
 
 
 def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
-    """Report cameras in which beads are wider than in the others, both in px and on the water."""
+    """Report cameras in which beads are wider than in the other cameras, both in px and on the water."""
     widths = {name: float(np.nanmedian(table.blur[name])) for name in table.names}
     rig, grid = table.patch_matcher.rig, table.patch_matcher.grid
     centre = float(np.mean(grid.x)), float(np.mean(grid.y))
@@ -368,7 +403,11 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
 
 
 def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[Remark]]:
-    """Cameras that agree with no other, and remarks on the causes."""
+    """Find the cameras that agree with no other camera, and the causes.
+
+    Returns the names of these cameras, and remarks on them. If no pair agrees at all, there is only one
+    remark. ``count`` is the number of frames of the record.
+    """
     level = table.level()
     good = [pair for pair, found in table.found.items() if score(found) >= level]
     # views of two distant cameras may differ too much to match, while each agrees with a third camera
@@ -384,7 +423,10 @@ def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[R
 
 
 def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
-    """Remark on a camera, or on all cameras, that match no other for an unknown cause."""
+    """Return the remark that a camera, or every camera if no name is given, matches no other.
+
+    It is used if no cause is known.
+    """
     pairs = {pair: found for pair, found in table.found.items() if not name or name in pair}
     best = max(map(score, pairs.values()))
     matched = max(float(np.mean([one.fraction for one in found])) for found in pairs.values())
@@ -407,7 +449,12 @@ def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
 
 
 def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
-    """Cause of a camera's disagreement with its partners, found by trial at two frames."""
+    """Find by trial why the camera ``name`` does not agree with its partners, and return a remark on it.
+
+    At two frames its images are flipped, exchanged for those of another camera, or taken earlier or later.
+    ``level`` is the fraction of matched patches that a change must reach; ``count`` is the number of frames
+    of the record.
+    """
     frames = table.frames[:2]
     tried: dict[tuple[str, str, str], list[PairConsistency]] = {}  # by kind, detail and partner
     for partner in partners:
@@ -453,13 +500,20 @@ _CAMERA_FAULTS = {
 
 
 def _explained(name: str, change: str, detail: str, values: Mapping[str, float]) -> Remark:
-    """Remark on a camera that agrees with the others after a change; ``detail`` is its amount or camera."""
+    """Return the remark on a camera that agrees with the others after a change.
+
+    ``change`` is a key of `_CAMERA_FAULTS`. ``detail`` is the flip, the other camera or the number of frames.
+    """
     kind, found, remedy = (part.format(detail) for part in _CAMERA_FAULTS[change])
     return Remark(name, kind, "grave", found, "All results from this camera are wrong", remedy, values)
 
 
 def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
-    """Remark on pairs of cameras with a smooth eps_y, and on the camera that moved if one explains all."""
+    """Report pairs of cameras whose sight lines miss each other by a smooth eps_y, in one remark.
+
+    The remark is on the camera that moved if a single camera explains all of these pairs, else on the rig.
+    The list is empty if there are no such pairs.
+    """
     smooth = {
         pair: np.median([one.smooth for one in found if one.fraction > 0], axis=0)
         for pair, found in table.found.items()
@@ -487,7 +541,7 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
 
 
 def _moved(subject: str, error: float, sentence: str, values: Mapping[str, float]) -> Remark:
-    """Remark on a camera or rig with an ``error`` in px on the water."""
+    """Return the remark that a camera, or the rig, has moved; ``error`` is its effect in px on the water."""
     return Remark(
         subject,
         "moved",
@@ -501,9 +555,10 @@ def _moved(subject: str, error: float, sentence: str, values: Mapping[str, float
 
 
 def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
-    """Remark on two pairs that see the same water at different heights: a camera moved along the parallax.
+    """Report two pairs of cameras that see the same water at different heights, in one remark.
 
-    The heights do not show which camera: two pairs give one difference, which any of them could explain.
+    A camera has then moved along the parallax. The heights do not show which camera: two pairs give one
+    difference, which any of them could explain. The list is empty if there are no such pairs.
     """
     worst, sure = 0.0, 0.0
     which: tuple[Pair, ...] = ()
@@ -526,7 +581,11 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
 
 
 def _height_difference(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
-    """Height from the first pair minus height from the second, at patches that both match, px of parallax."""
+    """Return the height that the first pair sees minus the height that the second pair sees.
+
+    The result holds one value for each patch that both pairs match at the kth sampled frame, in px of
+    parallax.
+    """
     a, b = table.found[first][k], table.found[second][k]
     both, ia, ib = np.intersect1d(a.places, b.places, return_indices=True)
     parallax = np.minimum(table.patch_matcher.parallax(first), table.patch_matcher.parallax(second))[both]
@@ -534,7 +593,10 @@ def _height_difference(table: ConsistencyTable, first: Pair, second: Pair, k: in
 
 
 def _significance(found: Sequence[PairConsistency]) -> float:
-    """Rms of the linear fit of eps_y over its standard uncertainty, at the frame with the most matches."""
+    """Return the rms of the linear fit of eps_y over its standard uncertainty.
+
+    It is that of the frame with the most matches, or 0 if this has too few.
+    """
     one = max(found, key=lambda each: each.fraction)
     if len(one.eps_y) < MIN_PATCHES:
         return 0.0
