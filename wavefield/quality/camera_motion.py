@@ -43,7 +43,7 @@ Images = Mapping[str, NDArray[Any] | None]  # image of each camera at one frame
 
 @dataclass(frozen=True)
 class Delay:
-    """A delay, with its uncertainty: of one camera behind another, or of an image row behind the row above."""
+    """A delay of one camera behind another, or of an image row behind the row above."""
 
     seconds: float  # Negative if earlier
     std: float  # Standard uncertainty, s

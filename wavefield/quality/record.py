@@ -64,14 +64,18 @@ CHANCE = 1e-3  # probability that noise alone gives the smallest jitter that is 
 
 @dataclass(frozen=True)
 class FrameInspection:
-    """Faults found by reading some frames of one camera."""
+    """Result of `inspect_frames`: the frames of one camera that were read, and their faults."""
 
     read: tuple[int, ...]  # Indices of the frames that were read
     faults: Mapping[int, tuple[FrameFault, str]]  # By index of the bad frames: kind of fault and message
 
 
 def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
-    """Indices of the frames to read: all of a short record, else the two ends and those of random steps."""
+    """Choose the frames of a record that `inspect_frames` reads; returns their indices.
+
+    These are all frames of a short record. Of a longer one they are the first, the last and the frames of
+    `SAMPLED_STEPS` random steps.
+    """
     complete = complete_steps(series)
     if len(complete) < 2 * SAMPLED_STEPS:
         return tuple(range(len(complete) + 1))
@@ -81,7 +85,11 @@ def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
 
 
 def inspect_frames(series: FrameSeries, indices: Iterable[int]) -> FrameInspection:
-    """Read some frames of a camera, and compare each with the frame before if that was read as well."""
+    """Read some frames of a camera, and find those that are bad or equal the frame before.
+
+    ``indices`` are the frames to read; missing frames are skipped. A frame can be compared only if the frame
+    before it was also read.
+    """
     faults: dict[int, tuple[FrameFault, str]] = {}
     read: list[int] = []
     last: Any = None
@@ -100,7 +108,7 @@ def inspect_frames(series: FrameSeries, indices: Iterable[int]) -> FrameInspecti
 
 
 def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
-    """True for the steps (n,) whose two frames have a file in every camera."""
+    """Return a mask (n,) of the steps: true if both frames of the step have a file in every camera."""
     present = np.all([[entry is not None for entry in one.entries] for one in series.values()], axis=0)
     return np.asarray(present[:-1] & present[1:])
 
@@ -108,7 +116,10 @@ def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
 def remark_on_frames(
     series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection]
 ) -> Iterator[Remark]:
-    """Report cameras with many bad or repeated frames."""
+    """Report cameras with many bad or repeated frames, or with any frame of another size.
+
+    ``inspections`` holds the result of `inspect_frames` by camera.
+    """
     for name, found in inspections.items():
         for fault, (words, remedy) in FAULTS.items():
             bad = [index for index, (other, _) in found.faults.items() if other == fault]
@@ -130,7 +141,11 @@ def remark_on_frames(
 
 
 def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Report missing frames, dropped or interlaced images, and rates that contradict the experiment file."""
+    """Report faults of the recordings that show without reading all frames.
+
+    These are missing frames, dropped or interlaced images, rotated videos, and frame rates that contradict
+    the experiment file.
+    """
     measuring = {name: series[name] for name in experiment.measuring_cameras if name in series}
     yield from _missing(measuring)
     yield from _rates(experiment, series)
@@ -171,7 +186,10 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
 
 
 def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Report rotated videos, recordings with another frame rate, and playback rates taken as frame rates."""
+    """Report rotated videos, and recordings whose frame rate contradicts the experiment file.
+
+    A note is given if the stated frame rate is only the playback rate of a video.
+    """
     file, rate = experiment.path.name, experiment.frame_rate
     named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
     stated = stated_by_recordings(named, experiment.image_folder)
@@ -212,7 +230,7 @@ def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterato
 
 
 def _interlaced(series: FrameSeries) -> Iterator[Remark]:
-    """Report interlaced images."""
+    """Report that the images of a camera are interlaced."""
     if is_interlaced(series):
         yield Remark(
             series.camera,
@@ -225,7 +243,7 @@ def _interlaced(series: FrameSeries) -> Iterator[Remark]:
 
 
 def _gaps(series: FrameSeries) -> Iterator[Remark]:
-    """Report images that a camera dropped according to its time stamps, and uneven intervals."""
+    """Report images that a camera dropped, and uneven intervals, both by the camera's time stamps."""
     if series.times is None:
         return
     there = np.flatnonzero(np.isfinite(series.times))
@@ -263,11 +281,15 @@ def _gaps(series: FrameSeries) -> Iterator[Remark]:
 
 
 def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, rate: float) -> Array:
-    """Robust rms of z_t - w + u z_x + v z_y over its standard uncertainty, per step (n,).
+    """Return the misfit of the kinematic boundary condition at each step, in standard uncertainties.
 
-    About 1 if the uncertainties are right, NaN with few measured nodes. Fields and mask are (n, ny, nx),
-    ``step`` is the node spacing in metres, ``rate`` is in Hz. z_t is a difference of two frames, so the noise
-    of z that is new in each frame counts twice.
+    The residual is z_t - w + u z_x + v z_y, and the result (n,) is its robust rms over the nodes, after
+    division by its standard uncertainty. It is about 1 if the stated uncertainties are right, and NaN with
+    few measured nodes.
+
+    ``fields`` holds z, z_t, u, v, w and z_std, u_std, v_std, w_std, each (n, ny, nx), in metres and m/s.
+    ``measured`` is the mask of measured nodes, ``step`` the node spacing in metres, and ``rate`` the frame
+    rate in Hz.
     """
     z = np.asarray(fields["z"], np.float64)
     z_y, z_x = (np.gradient(z, step, axis=axis) for axis in (1, 2))
@@ -288,19 +310,26 @@ def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, r
 
 @dataclass(frozen=True)
 class RiseRatios:
-    """Ratio of w to dz/dt + u . grad z, with dz/dt from the steps before and after."""
+    """Ratio of w to dz/dt + u . grad z at each step, where dz/dt comes from the steps before and after.
+
+    The ratio changes suddenly where a frame was lost, doubled or late.
+    """
 
     ratio: Array  # (n,): One per step; NaN where unknown
     variance: Array  # (n,): Variance of the ratio, from independent parts of the field
 
     def without(self, steps: NDArray[np.intp]) -> "RiseRatios":
-        """The same ratios with NaN at some steps."""
+        """Return a copy in which the ratios of the steps with the indices ``steps`` are NaN."""
         ratio = self.ratio.copy()
         ratio[steps] = np.nan
         return RiseRatios(ratio, self.variance)
 
     def discontinuous(self) -> NDArray[np.intp]:
-        """Indices of the steps whose ratio differs significantly from the mean of both neighbours."""
+        """Return the indices of the steps at which the ratio jumps.
+
+        The ratio there differs significantly from the mean of the two neighbouring steps, and by more than at
+        any step up to `PATH_REACH` away.
+        """
         log = np.log(np.maximum(self.ratio, MIN_RATIO))
         relative = self.variance / np.square(np.maximum(self.ratio, MIN_RATIO))
         jump, std = np.full((2, log.size), np.nan)
@@ -313,10 +342,10 @@ class RiseRatios:
         return np.flatnonzero(found & (size == largest))
 
     def jitter(self) -> float:
-        """Standard deviation of the frame times in frame intervals; 0 if it is not significant.
+        """Return the standard deviation of the frame times, in frame intervals; 0 if it is not significant.
 
-        It is found from differences of consecutive ratios: ratios also depend on the frequency of the waves
-        in view, but that changes slowly.
+        It comes from differences of consecutive ratios. Ratios also depend on the frequency of the waves in
+        view, but that changes slowly.
         """
         known = np.isfinite(self.ratio)
         both = known[1:] & known[:-1]
@@ -337,9 +366,10 @@ class RiseRatios:
 
 
 def rise_ratios(cube: xr.Dataset) -> RiseRatios:
-    """Slope of a regression of w on (z(k+1) - z(k-1)) / 2 dt + u . grad z at every step k of a cube.
+    """Compute at every step k of a cube the ratio of w to (z(k+1) - z(k-1)) / 2 dt + u . grad z.
 
-    All ratios are NaN if their median is not between 0 and `MAX_RATIO`: the waves are too fast to judge.
+    The ratio is the slope of a regression over the field. All ratios are NaN if their median is not between 0
+    and `MAX_RATIO`, because the waves are then too fast for the test.
     """
     steps, rate = cube.sizes["time"], float(cube.attrs["frame_rate"])
     spacing = float(cube.x[1] - cube.x[0])
@@ -363,9 +393,10 @@ def rise_ratios(cube: xr.Dataset) -> RiseRatios:
 
 
 def _slope(values: Array, on: Array, usable: Mask) -> tuple[float, float]:
-    """Slope of a regression of one field on another, both (ny, nx), and its variance from parts of the field.
+    """Regress the field ``values`` on the field ``on``, both (ny, nx), over the ``usable`` nodes.
 
-    Both are averaged over patches and lose their field means. Patches keep the longer waves, whose phase
+    Returns the slope and its variance, which comes from the scatter between parts of the field; NaN if there
+    are too few parts. The fields are averaged over patches first, which keeps the longer waves: their phase
     changes less from step to step.
     """
     count = _patches(usable.astype(float))
@@ -385,16 +416,18 @@ def _slope(values: Array, on: Array, usable: Mask) -> tuple[float, float]:
 
 
 def _patches(values: Array) -> Array:
-    """Sums over square patches of nodes."""
+    """Return the sums of a field (ny, nx) over square patches of nodes."""
     side = max(min(values.shape) // PATCHES, 1)
     ny, nx = (n // side for n in values.shape)
     return np.asarray(values[: ny * side, : nx * side].reshape(ny, side, nx, side).sum(axis=(1, 3)))
 
 
 def steps_to_leave_out(discontinuous: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
-    """Steps that use frames from both sides of a discontinuity.
+    """Return the indices of the steps that use frames from both sides of a discontinuity.
 
-    Empty if there are several discontinuities and this is more than half of the record.
+    ``discontinuous`` holds the steps with a discontinuity, and ``steps`` is the number of steps of the
+    record. The result is empty if there are several discontinuities and more than half of the record would be
+    left out.
     """
     apart = np.abs(np.subtract.outer(np.arange(steps), discontinuous))
     out = np.flatnonzero(apart.min(axis=1, initial=steps) <= PATH_REACH)
@@ -402,7 +435,10 @@ def steps_to_leave_out(discontinuous: NDArray[np.intp], steps: int) -> NDArray[n
 
 
 def remark_on_kinematics(sample: xr.Dataset) -> Iterator[Remark]:
-    """Report steps whose elevation and velocity violate the kinematic boundary condition."""
+    """Report that elevation and velocity violate the kinematic boundary condition.
+
+    The remark is made if the median misfit of the steps in ``sample`` exceeds `MAX_MISFIT`.
+    """
     measured = sample.quality.values & int(Quality.MEASURED) != 0
     fields, rate = {name: sample[name].values for name in COMPARED}, float(sample.attrs["frame_rate"])
     misfits = kinematic_misfit(fields, measured, float(sample.x[1] - sample.x[0]), rate)
@@ -421,7 +457,7 @@ def remark_on_kinematics(sample: xr.Dataset) -> Iterator[Remark]:
 
 
 def remark_on_cleared_steps(cube: xr.Dataset) -> Iterator[Remark]:
-    """Report the steps that the run has set to NaN because a frame was lost, doubled or late there."""
+    """Report the steps of a cube that are NaN because a frame was lost, doubled or late there."""
     steps = np.flatnonzero(cube.frame_status.values == FrameStatus.DISCONTINUOUS)
     if steps.size:
         numbers = spell_ranges([int(cube.frame[0]) + int(k) for k in steps], 3)
@@ -437,7 +473,10 @@ def remark_on_cleared_steps(cube: xr.Dataset) -> Iterator[Remark]:
 
 
 def remark_on_jitter(ratios: RiseRatios, sample: xr.Dataset) -> Iterator[Remark]:
-    """Report jitter of the frame times if it makes velocities wrong by more than their uncertainty."""
+    """Report jitter of the frame times if it adds larger errors to the velocities than their uncertainty.
+
+    ``sample`` holds the velocities and their uncertainties.
+    """
     jitter, rate = ratios.jitter(), float(sample.attrs["frame_rate"])
     measured = sample.quality.values & int(Quality.MEASURED) != 0
     if not jitter or not measured.any():

@@ -45,7 +45,7 @@ MAX_PROBE_STEPS = 1500  # compared with probes, in the middle of a long record
 
 
 def first_sentence(text: str) -> str:
-    """The first sentence of an explanation.
+    """Return the first sentence of an explanation.
 
     Examples
     --------
@@ -56,7 +56,10 @@ def first_sentence(text: str) -> str:
 
 
 def remark_on_coverage(seen: float) -> Iterator[Remark]:
-    """Report a grid that the cameras see only in part; ``seen`` is the fraction of nodes in common view."""
+    """Report a grid of which the cameras see less than half.
+
+    ``seen`` is the fraction of the grid's nodes that all cameras together see.
+    """
     if seen < HALF:
         yield Remark(
             "grid",
@@ -70,7 +73,7 @@ def remark_on_coverage(seen: float) -> Iterator[Remark]:
 
 
 def remark_on_holes(measured: float) -> Iterator[Remark]:
-    """Report that few nodes were measured; ``measured`` is their fraction of the nodes in view."""
+    """Report that fewer than half of the nodes in view were measured; ``measured`` is their fraction."""
     if measured < HALF:
         yield Remark(
             "surface",
@@ -84,9 +87,10 @@ def remark_on_holes(measured: float) -> Iterator[Remark]:
 
 
 def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) -> Iterator[Remark]:
-    """Report cameras that contradict each other about the motion of the water.
+    """Report that the cameras contradict each other about the motion of the water.
 
-    ``eps_piv`` is eps', the residual of the cameras' displacements after the fit of u, v, w, in px.
+    ``eps_piv`` is eps', the residual of the cameras' displacements after the fit of u, v, w, in px. Nodes at
+    which z or ``eps_piv`` is NaN do not count.
     """
     valid = np.isfinite(z) & np.isfinite(eps_piv)
     misfit = float(np.median(np.abs(eps_piv[valid]))) if valid.any() else 0.0
@@ -106,7 +110,11 @@ def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) ->
 def remark_on_unresolved_waves(
     fraction: float, wavelength: float, reason: str, remedy: str
 ) -> Iterator[Remark]:
-    """Report unresolved waves up to a wavelength (m) if their `fraction` of the variance of w is large."""
+    """Report that waves too short to be resolved have a large part of the variance of w.
+
+    `fraction` is that part, and `wavelength` the longest of these waves, m. `reason` and `remedy` are the
+    sentences of the remark that say what this means and what to do.
+    """
     if fraction > MAX_LOST:
         yield Remark(
             "surface",
@@ -120,7 +128,7 @@ def remark_on_unresolved_waves(
 
 
 def remark_on_steps(status: Status) -> Iterator[Remark]:
-    """Report steps that failed, and steps with bad frames among those that they use."""
+    """Report steps that could not be measured, and measured steps that use bad frames."""
     if status.failed:
         everything = status.failed == status.steps
         yield Remark(
@@ -146,7 +154,11 @@ def remark_on_steps(status: Status) -> Iterator[Remark]:
 
 
 def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[str]) -> Iterator[Remark]:
-    """Report cameras that were left out at many nodes; ``quality`` holds bits of `Quality`."""
+    """Report each camera that was left out at more than a tenth of the nodes.
+
+    ``quality`` is the variable of the cube, with bits of `Quality`; ``cameras`` are the names of the cameras
+    in the order of these bits.
+    """
     has_value = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
     for number, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
@@ -164,7 +176,10 @@ def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[st
 
 
 def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("nan")) -> Remark:
-    """Report the definition of z = 0; ``level_std`` is its standard uncertainty, metres."""
+    """Report what defines z = 0: the water at rest, the mean surface, the target or a light sheet.
+
+    ``level_std`` is the standard uncertainty of this level, metres; NaN if unknown.
+    """
 
     def note(found: str, means: str, remedy: str = "", weight: Weight = "note", **values: float) -> Remark:
         return Remark("rig", "water level", weight, found, means, remedy, values)
@@ -210,7 +225,7 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
 
 
 def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
-    """Report the height of z = 0 in the light sheet."""
+    """Report where the light sheet is, in which z = 0 is, or that its position is unknown."""
 
     def remark(weight: Weight, found: str, means: str, remedy: str = "", **values: float) -> Remark:
         return Remark("rig", "light sheet", weight, found, means, remedy, values)
@@ -243,7 +258,10 @@ def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
 
 
 def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> Iterator[Remark]:
-    """Report probes that cannot be read, or that were recorded outside the ``span`` of the frames (s)."""
+    """Report wave probes that cannot be read, or that were not recorded at the time of the frames.
+
+    ``span`` is the time of the first and of the last frame, s.
+    """
     try:
         probes = experiment.read_probes()
     except ExperimentError as error:
@@ -269,9 +287,10 @@ def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> I
 def remark_on_probes(
     experiment: Experiment, cube: "xr.Dataset", span: tuple[float, float]
 ) -> Iterator[Remark]:
-    """Report unusable probes, and probes that contradict the elevation in the cube.
+    """Report unusable wave probes, and probes that contradict the elevation in the cube.
 
-    Only the middle of a long record is compared, at every nth node.
+    ``span`` is the time of the first and of the last frame, s. Only the middle of a long record is compared,
+    at every nth node.
     """
     of_file = list(remark_on_probe_file(experiment, span))
     yield from of_file

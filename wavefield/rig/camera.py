@@ -87,17 +87,17 @@ class Camera:
 
     @cached_property
     def R(self) -> Array:
-        """Rotation from the physical frame to the camera frame, (3, 3)."""
+        """Rotation matrix from the physical frame to the camera frame, (3, 3)."""
         return np.array(self.rotation)
 
     @cached_property
     def T(self) -> Array:
-        """Translation from the physical frame to the camera frame, (3,), metres."""
+        """Translation from the physical frame to the camera frame, (3,), metres: Xc = R x + T."""
         return np.array(self.translation)
 
     @cached_property
     def centre(self) -> Array:
-        """Position of the camera's centre in the physical frame, (3,), metres."""
+        """Position of the camera's projection centre in the physical frame, (3,), metres."""
         return -self.R.T @ self.T
 
     @property
@@ -113,7 +113,7 @@ class Camera:
 
     @cached_property
     def _tilt(self) -> Array | None:
-        """Homography of the tilted sensor (OpenCV's CALIB_TILTED_MODEL), or None."""
+        """Homography (3, 3) of the tilted sensor (OpenCV's CALIB_TILTED_MODEL); None without a tilt."""
         return tilt_matrix(self.tau_x, self.tau_y).real if self.tau_x or self.tau_y else None
 
     # -- sensor: tangents <-> pixels -----------------------------------------------------------------
@@ -127,7 +127,7 @@ class Camera:
         return self.p1, self.p2
 
     def _to_pixels(self, a: Array, b: Array) -> tuple[Array, Array]:
-        """Pixels of tangents, with distortion and sensor tilt."""
+        """Return the pixels X, Y of tangents a, b, with lens distortion and sensor tilt."""
         x, y = distort(a, b, self._radial, self._tangential)
         if self._tilt is not None:
             x, y, _ = apply_homography(self._tilt, x, y)
@@ -137,7 +137,7 @@ class Camera:
         return X, self.fy * y + self.cy
 
     def _to_tangents(self, X: Array, Y: Array) -> tuple[Array, Array]:
-        """Tangents of pixels: the inverse of `_to_pixels`."""
+        """Return the tangents a, b of pixels X, Y: the inverse of `_to_pixels`."""
         y = (Y - self.cy) / self.fy
         x = (X - self.cx - self.skew * y) / self.fx
         if self._tilt is not None:
@@ -191,7 +191,10 @@ class Camera:
         return self._to_pixels(a, b)
 
     def _tangents_of(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array, Array]:
-        """Tangents of physical points, and their depth zc, metres; NaN behind the camera."""
+        """Return the tangents a, b of physical points, and the points' depth zc, metres.
+
+        The depth is along the optical axis. All three results are NaN for points behind the camera.
+        """
         x, y, z = np.asarray(x, float), np.asarray(y, float), np.asarray(z, float)
         (r1, r2, r3), (r4, r5, r6), (r7, r8, r9) = self.rotation
         tx, ty, tz = self.translation
@@ -423,7 +426,10 @@ _OPTIONAL = {"k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew"}
 
 
 def _terms_of_opencv(D: ArrayLike | None) -> dict[str, float]:
-    """Lens terms by name from OpenCV's distortion coefficients; a RigError for terms that `Camera` lacks."""
+    """Return the lens terms by name from OpenCV's distortion coefficients D.
+
+    Raises a RigError if a coefficient that `Camera` lacks is not zero, or if D has a wrong number of them.
+    """
     given = np.zeros(0) if D is None else np.ravel(np.asarray(D, float))
     if given.size not in (0, 4, 5, 8, 12, 14):
         raise RigError(f"it has {given.size} distortion coefficients; OpenCV's models have 4, 5, 8, 12 or 14")

@@ -85,9 +85,10 @@ def common_field(
 
 
 def view_on_water(camera: Camera) -> NDArray[np.float64]:
-    """Points (n, 2), metres, that span the view of a camera on z = 0.
-    They are the four corners, or, if the camera sees the horizon, samples of the near water. Raises a
-    RigError if the camera does not see z = 0.
+    """Return points (n, 2) on z = 0, metres, that span the view of a camera.
+
+    They are the four corners of the image, or samples of the near water if the camera sees the horizon.
+    Raises a RigError if the camera does not see z = 0.
     """
     corners = camera.corners()
     if np.isfinite(corners).all():
@@ -103,13 +104,14 @@ def view_on_water(camera: Camera) -> NDArray[np.float64]:
 
 
 def _round_up(length: float) -> float:
-    """The next 1, 2, 5 or 10 times a power of ten."""
+    """Round a length up to 1, 2, 5 or 10 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(round(power * next(m for m in (1, 2, 5, 10) if m * power >= length * (1 - 1e-9)), 12))
 
 
 def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
-    """Shorter and longer side, metres, of a camera's pixel on the still water at (x, y).
+    """Return the shorter and the longer side of a camera's pixel on the still water at (x, y), metres.
+
     Raises a RigError if the point is not in front of the camera.
     """
     jacobian = camera.jacobian(x, y, 0.0)[:, :2]
@@ -120,11 +122,14 @@ def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
 
 
 def pixel_at(camera: Camera, x: float, y: float) -> float:
-    """Size of a camera's pixel on the still water, metres: the side of a square of the same area."""
+    """Return the size of a camera's pixel on the still water at (x, y), metres.
+
+    It is the side of a square of the same area as the pixel.
+    """
     return float(np.sqrt(np.prod(pixel_sides(camera, x, y))))
 
 
 def pixel_size(rig: Rig, grid: Grid) -> float:
-    """Size of the coarsest camera's pixel on the water, metres, in the middle of the grid."""
+    """Return the size of a pixel on the water in the middle of the grid, for the coarsest camera, metres."""
     x, y = float(np.mean(grid.x)), float(np.mean(grid.y))
     return max(pixel_at(camera, x, y) for camera in rig.cameras.values())

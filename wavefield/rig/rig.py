@@ -20,7 +20,7 @@ UNITS = {"length": "m", "image": "px", "angle": "rad"}
 
 
 def read_rig_text(path: Path) -> str:
-    """Text of a rig file; raises a RigError if it cannot be read."""
+    """Return the text of a rig file; raises a RigError if it cannot be read."""
     try:
         refuse_pipe(path, RigError)
         return path.read_text(encoding="utf-8", errors="replace")
@@ -69,7 +69,7 @@ class Rig:
 
     @property
     def lenses_alone(self) -> bool:
-        """Whether all of several cameras are at the origin, because only their lenses are known."""
+        """Whether the rig describes only the lenses of several cameras, which are then all at the origin."""
         return len(self) > 1 and all(np.allclose(c.centre, 0.0, atol=1e-9) for c in self.cameras.values())
 
     def __repr__(self) -> str:
@@ -216,13 +216,16 @@ class Rig:
 
 
 def middle_camera(rig: Rig, names: Sequence[str]) -> str:
-    """Name of the camera with the least sum of distances to all others; of two, the first."""
+    """Return the name of the camera with the smallest sum of distances to all others in `names`.
+
+    Of two such cameras, it is the first.
+    """
     centres = np.array([rig[n].centre for n in names])
     reach = np.linalg.norm(centres[:, None] - centres, axis=-1).sum(axis=1)
     return names[int(np.argmin(np.round(reach / max(reach.max(), 1e-30), 9)))]
 
 
 def pairs_of(rig: Rig, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Pairs of cameras that are compared: the middle camera with each of the others."""
+    """Return the pairs of cameras whose images are compared: the middle camera with each of the others."""
     reference = middle_camera(rig, names)
     return tuple((reference, n) for n in names if n != reference)

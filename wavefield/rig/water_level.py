@@ -17,7 +17,7 @@ OUTLIER_DEVIATIONS = 4.0  # robust standard deviations from the plane
 
 @dataclass(frozen=True)
 class WaterPlane:
-    """A plane fitted to points of the surface."""
+    """A plane fitted to points of the water surface: z = height + slope[0] x + slope[1] y."""
 
     height: float  # Of the plane at x = y = 0, metres
     slope: tuple[float, float]  # Along x and y
@@ -26,7 +26,10 @@ class WaterPlane:
 
     @property
     def axes(self) -> Array:
-        """Axes (3, 3), as columns, of a frame on the plane: z normal to it, x in the old x-z plane."""
+        """Axes, as the columns of a matrix (3, 3), of a frame whose plane z = 0 is parallel to this plane.
+
+        The z axis is normal to the plane, and the x axis is in the x-z plane of the present frame.
+        """
         bx, by = self.slope
         z = np.array([-bx, -by, 1.0]) / np.sqrt(1.0 + bx * bx + by * by)
         x = np.array([1.0, 0.0, bx]) / np.sqrt(1.0 + bx * bx)
@@ -34,7 +37,10 @@ class WaterPlane:
 
 
 def _points(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
-    """Points (n, 3), and which of them are finite (n,)."""
+    """Return x, y, z as points (n, 3), and a mask (n,) of those that are finite.
+
+    Raises a RigError if fewer than ten points are finite.
+    """
     points = np.stack([np.ravel(v) for v in np.broadcast_arrays(x, y, z)], axis=-1).astype(float)
     finite = np.isfinite(points).all(axis=1)
     if finite.sum() < MIN_POINTS:
@@ -43,8 +49,9 @@ def _points(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, NDArray[np
 
 
 def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
-    """Fit a plane to points of the surface (metres), without outliers.
-    Raises a RigError if there are fewer than ten points, or all are on a line.
+    """Fit a plane to points x, y, z of the water surface, metres, without outliers.
+
+    Raises a RigError if there are fewer than ten points, or if all are on a line.
     """
     points, finite = _points(x, y, z)
     height = points[finite, 2]
@@ -74,7 +81,11 @@ def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
 
 
 def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, WaterPlane]:
-    """Re-express a rig in a frame whose plane z = 0 fits points of still water (metres); returns both."""
+    """Turn and shift the frame of a rig so that z = 0 is the plane of points of still water.
+
+    x, y, z are these points in the present frame, metres. Returns the rig in the new frame, and the fitted
+    plane.
+    """
     points, finite = _points(x, y, z)
     axes, origin = _frame_on_plane(rig, points[finite])
     tilt = float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))))
@@ -92,7 +103,10 @@ def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, Wate
 
 
 def _frame_on_plane(rig: Rig, points: Array) -> tuple[Array, Array]:
-    """Axes (as columns) and origin of a frame on the plane of points, with z towards the cameras."""
+    """Return a frame on the plane of points (n, 3): its axes (3, 3), as columns, and its origin (3,).
+
+    Its z axis points to the side of the cameras.
+    """
     middle, weight = np.median(points, axis=0), np.ones(len(points))
     for _ in range(20):  # robust fit: weights fall with the distance from the plane
         middle = weight @ points / weight.sum()
@@ -108,5 +122,5 @@ def _frame_on_plane(rig: Rig, points: Array) -> tuple[Array, Array]:
 
 
 def with_water_level(rig: Rig, height: float) -> Rig:
-    """Re-express a rig with z = 0 at a known height, metres, above the flat target (negative: below)."""
+    """Shift the frame of a rig so that z = 0 is `height` metres above the flat target (negative: below)."""
     return rig.moved(np.eye(3), (0.0, 0.0, height), water_above_target_m=float(height))

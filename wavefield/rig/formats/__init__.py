@@ -113,7 +113,7 @@ def load_rig(
 
 
 def _imported(path: Path, options: ImportOptions) -> Rig | None:
-    """A rig of another program; None for a folder or a file of wavefield."""
+    """Read a rig that another program wrote; returns None for a folder or for wavefield's own file."""
     if path.is_dir():
         return None
     if path.suffix == ".mat" and path.exists():
@@ -142,8 +142,10 @@ def _load_xml(path: Path, options: ImportOptions) -> Rig:
 
 
 def save_rig(rig: Rig, path: str | Path, program: str) -> None:
-    """Write a rig for `program`: opencv, matlab, or uvmat (one file per camera, into an existing folder).
-    Raises a RigError if the program does not have a term of the lenses.
+    """Write a rig in the format of another program: ``opencv``, ``matlab`` or ``uvmat``.
+
+    For ``uvmat``, `path` is an existing folder, which receives one file per camera. Raises a RigError if the
+    program lacks one of the lens terms.
     """
     path = Path(path)
     if program == "uvmat":

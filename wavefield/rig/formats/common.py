@@ -22,15 +22,17 @@ FIRST_CAMERA: Pose = np.eye(3), np.zeros(3)  # the world is the first camera's f
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Options of the user for facts that a file may not contain."""
+    """What the user states about a file that may not state it: image sizes, camera names, unit of length."""
 
     sizes: Mapping[str, Size] | None = None  # Image (width, height) by camera, px
     names: Sequence[str] | None = None  # Names of the cameras, in the file's order
     unit: str | None = None  # Unit of length, or its size in metres; None: the file's or the program's unit
 
     def length(self, usual: str | None, stated: str = "") -> tuple[float, str]:
-        """Unit of length in metres, and its name: the user's, else the file's, else the usual one.
-        If there is none, the unit is the metre and the name is empty.
+        """Return the size of the unit of length in metres, and its name.
+
+        The unit is that of the user, else that which the file states (`stated`), else the program's usual
+        unit. If there is none, it is the metre, and the name is empty. Raises a RigError for an unknown unit.
         """
         unit = self.unit or stated.strip() or usual
         if unit is None:
@@ -47,7 +49,10 @@ class ImportOptions:
             ) from None
 
     def size(self, name: str, program: str, stored: tuple[float, float] | None = None) -> Size:
-        """Image (width, height) of a camera, px: the user's, else the file's; a RigError without either."""
+        """Return the (width, height) of a camera's image, px, from the user or else from the file (`stored`).
+
+        Raises a RigError if neither states it; `program` is named in the message.
+        """
         size = (self.sizes or {}).get(name) or stored
         if size is None:
             raise RigError(
@@ -57,7 +62,10 @@ class ImportOptions:
         return int(size[0]), int(size[1])
 
     def named(self, count: int, own: Sequence[str] | None = None) -> list[str]:
-        """Names of the cameras: the user's, else the file's, else cam1, cam2, ..."""
+        """Return the names of `count` cameras: those of the user, else those of the file (`own`).
+
+        Without either, they are cam1, cam2, ... Raises a RigError if the user gave another number of names.
+        """
         if self.names is None:
             return list(own or (f"cam{n + 1}" for n in range(count)))
         if len(self.names) != count:
@@ -67,7 +75,7 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class StoredCamera:
-    """A camera as a file stores it, with OpenCV's lens model."""
+    """A camera as another program's file stores it, with the lens model of OpenCV."""
 
     K: Array  # (3, 3), px
     D: Array | Sequence[float] | None  # Distortion coefficients in OpenCV's order
@@ -76,7 +84,7 @@ class StoredCamera:
 
 
 def camera_matrix(fx: float, fy: float, cx: float, cy: float, skew: float = 0.0) -> Array:
-    """OpenCV's camera matrix (3, 3), px."""
+    """Return OpenCV's camera matrix (3, 3); all arguments are in px."""
     return np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
@@ -87,8 +95,10 @@ def rig_of_file(
     note: Mapping[str, object],
     own: Sequence[str] | None = None,
 ) -> Rig:
-    """The rig of a file's cameras; `origin` names the program in messages, `note` is the provenance.
-    The names `own` that the file gives to its cameras are used if they are all different.
+    """Make a rig of the cameras that a file stores.
+
+    `origin` names the program in error messages, and `note` is written to the provenance. The names `own`
+    that the file gives to its cameras are used unless the user gave names or two of them are equal.
     """
     if cameras[0].pose is FIRST_CAMERA:
         left_out = "no pose in the world: the frame is that of the first camera; level it on the water"
@@ -106,7 +116,10 @@ def rig_of_file(
 
 
 def rotation_near(matrix: Array) -> Array:
-    """The rotation nearest to a matrix (3, 3) that a file rounds; a RigError if the matrix is no rotation."""
+    """Return the rotation (3, 3) nearest to a matrix that a file stores with rounding errors.
+
+    Raises a RigError if the matrix is not a rotation.
+    """
     U, _, V = np.linalg.svd(matrix)
     nearest: Array = U @ V
     if not np.abs(nearest - matrix).max() < 1e-3 or np.linalg.det(nearest) < 0:
@@ -115,14 +128,20 @@ def rotation_near(matrix: Array) -> Array:
 
 
 def turned_about_axes(alpha: float, beta: float, gamma: float) -> Array:
-    """Rotation R = Rz(gamma) Ry(beta) Rx(alpha), radians, as in VIC-3D, DICe and DaVis."""
+    """Return the rotation R = Rz(gamma) Ry(beta) Rx(alpha); the angles are in radians.
+
+    VIC-3D, DICe and DaVis use this convention.
+    """
     about_x, about_y, about_z = (rotation_about(a * e) for a, e in zip((alpha, beta, gamma), np.eye(3)))
     turn: Array = about_z @ about_y @ about_x
     return turn
 
 
 def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[float]:
-    """Numbers in an XML element; a RigError if the element is missing or has not `count` of them."""
+    """Return the numbers in the child element `tag` of an XML element.
+
+    Raises a RigError if the child is missing, is empty, or does not hold `count` numbers.
+    """
     element = parent.find(tag)
     if element is None or element.text is None:
         raise RigError(f"<{tag}> is missing")
@@ -133,7 +152,10 @@ def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[f
 
 
 def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
-    """Raise a RigError if a camera has lens terms other than `terms`, which the program supports."""
+    """Raise a RigError if a camera has a lens term that the program does not support.
+
+    `terms` are the names of the distortion terms that it supports.
+    """
     extra = [
         term
         for term in ("k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
@@ -147,7 +169,11 @@ def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
 
 
 def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
-    """Both cameras of a rig, and rotation and translation (metres) from the first to the second."""
+    """Return the two cameras of a rig, and the pose of the second in the frame of the first.
+
+    The pose is a rotation (3, 3) and a translation (3,), metres. Raises a RigError if the rig has not two
+    cameras, or holds only their lenses.
+    """
     if len(rig) != 2:
         raise RigError(f"{program} has two cameras, and this rig {len(rig)}: write OpenCV's file")
     if rig.lenses_alone:
@@ -158,7 +184,10 @@ def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
 
 
 def refuse_implausible(cameras: Sequence[StoredCamera], unit: str) -> None:
-    """Raise a RigError if the unit of length is unknown and, in metres, the cameras are far apart."""
+    """Raise a RigError if the unit of length is unknown and metres are implausible.
+
+    They are implausible if the cameras would be more than `MAX_DISTANCE` apart. `unit` is empty if unknown.
+    """
     centres = [-one.pose[0].T @ one.pose[1] for one in cameras]
     apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     if not unit and apart > MAX_DISTANCE:

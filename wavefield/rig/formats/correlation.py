@@ -28,7 +28,7 @@ Parameters = dict[str, str]
 
 
 def load_dice(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
-    """Read a camera system of DICe, cam_sys.xml."""
+    """Read a camera system of DICe (cam_sys.xml), whose root element is `root`; returns the rig."""
     relative = _parameters(root).get("extrinsics_relative_camera_to_camera", "").lower() in ("true", "1")
     length, unit = options.length("mm")
     cameras: list[StoredCamera] = []
@@ -56,7 +56,10 @@ def _braces(text: str) -> list[float]:
 
 
 def _dice_camera(element: ET.Element, parameters: Parameters, length: float) -> StoredCamera:
-    """A camera of DICe; its pose is `FIRST_CAMERA` if the file has none."""
+    """Read one camera of DICe; its pose is `FIRST_CAMERA` if the file states none.
+
+    `length` is the size of the file's unit of length, metres.
+    """
 
     def values(*names: str) -> list[float]:
         return [float(parameters.get(name, 0.0)) for name in names]
@@ -81,7 +84,7 @@ def _dice_camera(element: ET.Element, parameters: Parameters, length: float) -> 
 
 
 def load_vic(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
-    """Read a project of VIC-3D."""
+    """Read a project of VIC-3D, whose root element is `root`; returns the rig."""
     mask = root.find(".//polygonmask")
     size = None if mask is None else (int(mask.attrib["width"]), int(mask.attrib["height"]))
     length, unit = options.length("mm")

@@ -23,7 +23,7 @@ REMEDY = "calibrate with wavefield from DaVis' target images (.im7), or from tab
 
 
 def load_davis(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
-    """Read a calibration of DaVis."""
+    """Read a calibration of DaVis, whose root element is `root`; returns the rig."""
     if any(folder.is_dir() for folder in path.parent.glob("[Cc]orrection field")):
         raise RigError(
             "a correction field of DaVis' self-calibration is next to it, which is not supported: use the "
@@ -61,7 +61,10 @@ def _camera(mapper: ET.Element, length: float) -> StoredCamera:
 
 
 def _number(mapper: ET.Element, tag: str, name: str, absent: float | None = None) -> float:
-    """Attribute of an XML element; if it is absent, the default, or a RigError without one."""
+    """Return the number in the attribute `name` of the child element `tag`.
+
+    If it is absent, the function returns the default `absent`, or raises a RigError if there is no default.
+    """
     element = mapper.find(f".//{tag}")
     text = None if element is None else element.get(name)
     if text is None:

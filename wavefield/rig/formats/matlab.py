@@ -25,7 +25,10 @@ from wavefield.rig.rig import Rig
 
 
 def load_matlab(path: Path, options: ImportOptions) -> Rig:
-    """Read a calibration made in MATLAB."""
+    """Read a .mat file of Bouguet's toolbox or of MATLAB's Camera Calibrator; returns the rig.
+
+    Raises a RigError if the file holds no calibration or is of version 7.3.
+    """
     import scipy.io  # here, because the import takes half a second
 
     try:
@@ -36,7 +39,7 @@ def load_matlab(path: Path, options: ImportOptions) -> Rig:
     length, unit = options.length(None, _world_units(data))
 
     def second(R: ArrayLike, T: ArrayLike) -> Pose:
-        """Pose of the second camera in the first one's frame."""
+        """Return the pose of the second camera in the frame of the first, with the translation in metres."""
         return rotation_near(np.asarray(R, float)), length * np.ravel(np.asarray(T, float))
 
     if "fc_left" in data:
@@ -69,7 +72,7 @@ def load_matlab(path: Path, options: ImportOptions) -> Rig:
 
 
 def _world_units(data: object) -> str:
-    """The unit of length that a struct of the Calibrator states at any depth; empty if there is none."""
+    """Return the unit of length that the calibration states in any of its nested structs; empty if none."""
     if not isinstance(data, Mapping):
         return ""
     own = data.get("WorldUnits")
@@ -77,7 +80,10 @@ def _world_units(data: object) -> str:
 
 
 def _bouguet(data: Mapping[str, Any], side: str) -> StoredCamera:
-    """A camera of Bouguet's toolbox, which counts pixels from zero; `side` is _left, _right or empty."""
+    """Read a camera of Bouguet's toolbox, which counts pixels from zero.
+
+    `side` is the ending of the variables' names: _left, _right or empty.
+    """
     fx, fy = np.ravel(data[f"fc{side}"]).tolist()
     cx, cy = np.ravel(data[f"cc{side}"]).tolist()
     skew = float(np.ravel(data.get(f"alpha_c{side}", 0.0))[0]) * fx
@@ -87,7 +93,10 @@ def _bouguet(data: Mapping[str, Any], side: str) -> StoredCamera:
 
 
 def _struct(value: Mapping[str, Any]) -> StoredCamera:
-    """A camera of MATLAB's Calibrator, which counts pixels from one; older versions transpose the matrix."""
+    """Read a camera of MATLAB's Camera Calibrator, which counts pixels from one.
+
+    Older versions of MATLAB store the transposed camera matrix.
+    """
     K = np.asarray(value["K"] if "K" in value else np.transpose(value["IntrinsicMatrix"]), float).copy()
     K[:2, 2] -= 1.0
     k = [*np.ravel(value["RadialDistortion"]).tolist(), 0.0, 0.0][:3]
@@ -97,8 +106,10 @@ def _struct(value: Mapping[str, Any]) -> StoredCamera:
 
 
 def save_matlab(rig: Rig, path: Path) -> None:
-    """Write two cameras as stereo results of Bouguet's toolbox, lengths in metres.
+    """Write a rig of two cameras as stereo results of Bouguet's toolbox, with lengths in metres.
+
     MATLAB's `stereoParametersFromOpenCV` takes the same numbers: KK_left, kc_left, KK_right, kc_right, R, T.
+    Raises a RigError if there are not two cameras, or if their images differ in size.
     """
     import scipy.io  # here, because the import takes half a second
 

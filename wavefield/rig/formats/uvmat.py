@@ -16,7 +16,7 @@ _FLIP = np.diag([1.0, -1.0, 1.0])
 
 
 def load_uvmat(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
-    """Read one camera from UVMAT's ImaDoc."""
+    """Read one camera from a file of UVMAT (ImaDoc), whose root element is `root`; returns a rig."""
     calibration = root.find("GeometryCalib")
     if calibration is None:
         raise RigError("it has no <GeometryCalib>: the images were not calibrated")
@@ -47,8 +47,9 @@ def load_uvmat(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
 
 
 def _check_size(calibration: ET.Element, size: tuple[int, int]) -> None:
-    """Raise a RigError if a target point of the calibration is outside an image of this size (width, height).
-    UVMAT stores no size, so the user states it.
+    """Check the image size (width, height) that the user stated, because UVMAT does not store it.
+
+    Raises a RigError if a target point of the calibration is outside an image of this size.
     """
     marked = [
         [float(v) for v in (point.text or "").split()]
@@ -64,7 +65,10 @@ def _check_size(calibration: ET.Element, size: tuple[int, int]) -> None:
 
 
 def save_uvmat(camera: Camera, path: str | Path, unit: str = "cm") -> None:
-    """Write one camera as UVMAT's ImaDoc; a RigError if it has lens terms other than k1."""
+    """Write one camera as a file of UVMAT (ImaDoc); `unit` is the unit of length in the file.
+
+    Raises a RigError if the camera has distortion terms other than k1.
+    """
     refuse_terms(camera, "UVMAT", "k1")
     scale = 1.0 / LENGTHS[unit]
     root = ET.Element("ImaDoc")
