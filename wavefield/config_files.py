@@ -73,7 +73,10 @@ PathText = Annotated[str, AfterValidator(portable_path)]
 
 
 class ConfigSection(BaseModel):
-    """Base of the blocks of a settings file: unknown keys and numbers that are not finite are errors."""
+    """Base class of the sections of a settings file.
+
+    Unknown keys, and numbers that are not finite, raise pydantic's ValidationError.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
 
@@ -166,9 +169,10 @@ def _booleans_as_numbers(
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads numbers as people write them: 1:30 is text, not 90, a date is text, and 010 is ten.
+    """A YAML loader that reads numbers as people write them.
 
-    Aliases (`*name`) are errors: nobody needs them here, and a few lines of them can stand for billions.
+    1:30 and dates are text, and 010 is ten. Aliases (`*name`) raise an error, because a few lines with
+    aliases can expand to billions of values.
     """
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:

@@ -10,7 +10,7 @@ class WavefieldError(Exception):
 
 
 class ExperimentError(WavefieldError):
-    """The experiment file, a catalog or a workflow lacks what is needed."""
+    """The experiment file, a catalog or a workflow file, or a file that one of them names, is wrong."""
 
 
 class FrameError(WavefieldError):

@@ -66,7 +66,7 @@ def _depth(depth: float) -> float:
 
 
 def dispersion(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: float = GRAVITY) -> Any:
-    """Angular frequency of free waves without current, sqrt((g k + gamma k^3) tanh k h).
+    """Return the angular frequency of free waves without current, sqrt((g k + gamma k^3) tanh k h).
 
     Parameters
     ----------
@@ -81,8 +81,8 @@ def dispersion(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: flo
 
     Returns
     -------
-    array_like
-        rad/s.
+    float or ndarray
+        Angular frequency, rad/s, in the shape of `k`.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def dispersion(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: flo
 
 
 def group_velocity(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: float = GRAVITY) -> Any:
-    """Group velocity of free waves without current, d omega / d k.
+    """Return the group velocity of free waves without current, d omega / d k.
 
     Parameters
     ----------
@@ -119,8 +119,8 @@ def group_velocity(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g:
 
     Returns
     -------
-    array_like
-        m/s.
+    float or ndarray
+        Group velocity, m/s, in the shape of `k`.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def group_velocity(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g:
 
 
 def wavenumber(omega: ArrayLike, depth: float = np.inf, gamma: float = GAMMA) -> Array:
-    """Wavenumber of free waves without current, the inverse of `dispersion`.
+    """Return the wavenumber of free waves without current, the inverse of `dispersion`.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def wavenumber(omega: ArrayLike, depth: float = np.inf, gamma: float = GAMMA) ->
     Returns
     -------
     ndarray
-        rad/m.
+        Wavenumber, rad/m, in the shape of `omega`.
 
     Raises
     ------

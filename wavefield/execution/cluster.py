@@ -50,7 +50,10 @@ _SCHEDULER_TIMEOUT = "20s"  # to connect to a scheduler that is running already
 
 
 def count_workers(workflow: Workflow) -> int:
-    """Return the greatest number of workers that a workflow asks for; for ``auto`` this machine's cores."""
+    """Return the greatest number of workers that a workflow asks for.
+
+    It is 1 for ``cluster: none``, and the number of cores of this machine for ``workers: auto``.
+    """
     if workflow.cluster == "none":
         return 1
     if workflow.workers == "auto":

@@ -42,6 +42,7 @@ def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
 
 def count_frames(path: Path) -> int:
     """Return the number of images in an .im7 file; FrameError if the file or its header is damaged.
+
     The header is checked here because LaVision's reader may hang on a damaged one.
     """
     try:

@@ -40,8 +40,8 @@ SAME_PLACE = 1e-4  # distance between two cameras over that to the water; nearer
 class Experiment(RecordSection):
     """An experiment: cameras, rig, grid, and the properties of the water; read one with `Experiment.load`.
 
-    Relative paths in an experiment file start from the folder of the file; those of images from ``folder``,
-    if it is given.
+    Relative paths in an experiment file start from the folder of the file. Relative paths of images start
+    from ``folder`` if the file gives it.
 
     Examples
     --------
@@ -285,7 +285,7 @@ class Experiment(RecordSection):
         path : path, optional
             Rig file, in place of the one that the experiment names.
         series : mapping of str to FrameSeries, optional
-            The frames of each camera, to check the size of images; some rig files do not contain it.
+            The frames of each camera, to check the size of the images; some rig files do not state it.
 
         Returns
         -------
@@ -327,7 +327,7 @@ class Experiment(RecordSection):
         settings : mapping, optional
             Settings of the measurement; by default those of the experiment file. An automatic grid stays in
             view at all elevations of ``z_range``, or of plus and minus half the ``sheet_thickness``. Without
-            either setting the elevations are 1 % of the cameras' distance.
+            either setting the elevations are plus and minus 1 % of the nearest camera's distance.
 
         Raises
         ------

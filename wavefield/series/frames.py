@@ -93,8 +93,8 @@ class FrameSeries:
     mask : CameraMask, optional
         Masked pixels, the same in all frames.
     beyond : tuple of int
-        Number of frames that this camera has before and after the record, which begins and ends where the
-        other cameras or ``frames`` of the experiment file limit it.
+        Number of frames that this camera has before and after the record. The other cameras, or ``frames`` of
+        the experiment file, limit the record.
     times : ndarray, (n,), optional
         Time of each frame by the camera's own clock, s; NaN where it is missing.
     background : ndarray, (row, column), optional
@@ -125,7 +125,7 @@ class FrameSeries:
         return f"{self.camera} frame {self.first + index}" + (f" ({entry})" if entry else "")
 
     def read(self, index: int) -> Frame:
-        """Return the frame at an index, less its background; a bad frame is returned with its fault."""
+        """Return the frame at an index from 0, minus the background; a bad frame has a fault and no image."""
         entry = self.entries[index]
         place = self.place(index)
         if entry is None:
@@ -153,7 +153,7 @@ class FrameSeries:
         return None if self.mask is None else self.mask.covered()
 
     def read_uncovered(self, index: int) -> np.ndarray | None:
-        """Return the image at an index with masked pixels set to the median grey; None for a bad frame."""
+        """Return the image at an index, with masked pixels set to the median grey; None for a bad frame."""
         image, covered = self.read(index).image, self.covered(index)
         return image if image is None or covered is None else fill_masked(image, covered)
 
@@ -166,11 +166,11 @@ class FrameSeries:
 
 
 def is_interlaced(series: FrameSeries) -> bool:
-    """Whether odd and even rows show two moments, by the structure functions of five frames.
+    """Whether odd and even rows of a camera's images were recorded at two moments, by up to five frames.
 
     D1, D2 and D4 are the root mean square differences between rows 1, 2 and 4 apart. In an image of one
-    moment D1 D4 / D2^2 is at most 1 (0.73 for beads, 1 for noise); in interlaced images of moving beads it is
-    about 1.1. A colour mosaic has such a ratio along the columns as well, and is not taken for interlaced.
+    moment D1 D4 / D2^2 is at most 1 (0.73 for beads, 1 for noise). In interlaced images of moving beads it is
+    about 1.1. A colour mosaic has such a ratio along the columns as well; it is not taken for interlaced.
     """
     found = []
     for index in np.unique(np.linspace(0, len(series) - 1, INTERLACED_SAMPLES).astype(int)):

@@ -64,6 +64,7 @@ def refuse_other_images(
     background: Image, name: str, shape: tuple[int, ...], dtype: str, experiment: Path
 ) -> None:
     """Raise ExperimentError if the background of a camera has another shape or type than its frames.
+
     `name` is the camera, `shape` and `dtype` are those of its frames, `experiment` is the experiment file.
     """
     if background.shape != shape or background.dtype != dtype:
@@ -103,11 +104,11 @@ def checksums(series: Mapping[str, FrameSeries]) -> dict[str, str]:
 def write_backgrounds(
     series: Mapping[str, FrameSeries], folder: Path, frames: int, source: str = ""
 ) -> list[Path]:
-    """Write the mean of `frames` frames of every camera to folder/CAMERA.tif; return the files.
+    """Write the mean of `frames` frames of each camera to folder/CAMERA.tif, and return these paths.
 
     `source` identifies the experiment (`identity_of`). An existing file is replaced only if it is an
-    unchanged background from the same source. StoreError if another file is there, FrameError if no frame can
-    be read.
+    unchanged background from the same source. StoreError if any other file is there, FrameError if no frame
+    of a camera can be read.
     """
     product = Product("background", source or identity_of())
     files = {name: folder / f"{name}.tif" for name in series}

@@ -33,7 +33,7 @@ def read_probes(
     Parameters
     ----------
     path : path-like
-        UTF-8 text, columns parted by commas. The first line names the columns: ``time`` (seconds,
+        UTF-8 text, columns separated by commas. The first line names the columns: ``time`` (seconds,
         increasing; frame 0 is at 0) and one column per probe. A cell that is empty or ``nan`` is a missing
         value. Lines that begin with ``#`` are comments.
     unit : {"m", "cm", "mm", "um"}
@@ -54,8 +54,8 @@ def read_probes(
     Raises
     ------
     ExperimentError
-        If the file cannot be read or is not such a table, its values are implausible for waves in this unit,
-        or `places` names another probe. The message tells the line.
+        If the file cannot be read or is not such a table, if its values are implausible for waves in this
+        unit, or if `places` names a probe that the file lacks.
 
     Examples
     --------
@@ -99,6 +99,7 @@ def read_probes(
 
 def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
     """Return (number from 1, text) of each line of a UTF-8 file that is neither blank nor a comment (#).
+
     ExperimentError if the file cannot be read; `what` is its name in messages.
     """
     try:

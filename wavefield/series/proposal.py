@@ -39,7 +39,7 @@ water: {{depth: }}              # TO FILL IN: metres, such as 0.70; none in deep
 
 @dataclass(frozen=True)
 class NumberedImages:
-    """Images of one camera, whose names differ in the frame number."""
+    """Numbered images of one camera: the pattern of their names, and their numbers."""
 
     pattern: str  # Relative path, with ``{frame}`` for the number and ``*`` for other varying parts
     numbers: tuple[int, ...]  # The numbers, in order
@@ -60,6 +60,7 @@ def files_below(folder: Path) -> Iterator[Path]:
 
 def image_paths(folder: Path) -> list[str]:
     """Return the sorted paths, relative to a folder, of all images below it.
+
     ExperimentError if it is not a folder.
     """
     if not folder.is_dir():

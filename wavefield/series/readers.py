@@ -53,6 +53,7 @@ def read_entry(entry: FrameEntry) -> np.ndarray:
 
 def count_images(name: str | Path) -> tuple[Kind, int]:
     """Return ("file", 1) for a file of one image, else ("images", number of images in the file or store).
+
     FrameError if it is missing or damaged.
     """
     refuse_pipe(name, FrameError)

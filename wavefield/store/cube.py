@@ -49,7 +49,7 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
     Raises
     ------
     StoreError
-        If it is not there, is not a cube, or its metadata are damaged. A file that is missing or damaged
+        If the store does not exist, is not a cube, or has damaged metadata. A file that is missing or damaged
         raises the same error when it is read.
 
     Examples
@@ -109,7 +109,7 @@ def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
 
 class _NamedArray(BackendArray):
-    """A lazy array of a store; an error while reading it becomes a StoreError with the array's path."""
+    """A lazy array of a store; a failure to read it raises StoreError with the path of the array."""
 
     def __init__(self, path: Path, variable: xr.Variable) -> None:
         self.path, self.variable = path, variable

@@ -81,16 +81,17 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     store : path
         Cube written by `run`.
     path : path
-        ``.nc``: one NetCDF-4 file that follows the CF conventions; ``.mat``: MATLAB 7, variables below 2 GB;
-        ``.uvmat``: a folder of one NetCDF file per step. The output appears when it is complete.
+        With the ending ``.nc``, one NetCDF-4 file that follows the CF conventions. With ``.mat``, a file of
+        MATLAB 7, with variables below 2 GB. With ``.uvmat``, a folder with one NetCDF file per step. The
+        output appears when it is complete.
     steps : slice, optional
         Indices of the steps to export; by default all.
 
     Raises
     ------
     StoreError
-        If the cube is not there or has no such steps, or if the file cannot be written, must not be replaced,
-        or has another ending.
+        If the cube does not exist or has no such steps, or if the output has another ending or cannot be
+        written. Of existing outputs only an unchanged ``.nc`` export of the same cube is replaced.
 
     Warns
     -----
@@ -186,9 +187,10 @@ def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
 
 
 def _write_uvmat(cube: "xr.Dataset", path: Path) -> None:
-    """Write a folder with one NetCDF 3 file per step in metres, y upwards, like UVMAT's `struct2nc`.
+    """Write a folder with one NetCDF 3 file per step for UVMAT, in metres, with y upwards.
 
-    ``FF``, UVMAT's flag of false vectors, is 0 where the node was measured, else the bits of ``quality``.
+    The names are those of UVMAT's `struct2nc`. ``FF``, UVMAT's flag of false vectors, is 0 where the node was
+    measured, else the bits of ``quality``.
     """
     names = {name: theirs for name, (theirs, _) in _UVMAT_ROLES.items() if name in cube}
     out = cube[[*names, "quality"]].reset_coords(drop=True)

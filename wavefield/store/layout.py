@@ -204,7 +204,10 @@ _CHUNK_FILES = {"frame_fault": "c/0/{}", "frame_status": "c/{}"}  # fields have 
 
 @contextmanager
 def named_damage(array: Path) -> Iterator[None]:
-    """Context manager: turn an error while reading damaged bytes into a StoreError that names the array."""
+    """Context manager: replace an error while reading damaged bytes by a StoreError.
+
+    The message names `array`, the path of the array in the store.
+    """
     try:
         yield
     except StoreError:

@@ -151,7 +151,7 @@ def status(store: str | Path) -> Status:
     Raises
     ------
     StoreError
-        If it is not there or is not a cube.
+        If the store does not exist or is not a cube.
 
     Examples
     --------

@@ -79,7 +79,7 @@ def _shape(group: CubeGroup, thin: Thinning) -> tuple[int, ...]:
 
 
 def _attributes(thin: Thinning) -> dict[str, Any]:
-    """Return the attributes of the group of a preview."""
+    """Return the attributes of a preview's group: the spacing of its nodes, and its variables."""
     return {"every": thin.every, "variables": list(thin.names)}
 
 

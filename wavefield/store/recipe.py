@@ -35,7 +35,7 @@ _LABELS = ("experiment", "record", "software")
 
 @dataclass(frozen=True)
 class Recipe:
-    """All inputs that a cube was made from, and how; entries are plain data."""
+    """Everything that a cube was made from (images, rig, grid, settings, versions), as plain data."""
 
     experiment: str  # Name of the experiment
     # By camera: images as the experiment file names them, offset of the frame numbers, file of time stamps

@@ -49,7 +49,10 @@ class Remark:
 
 @dataclass(frozen=True)
 class Verdict:
-    """All remarks on a measurement; ``line`` sums them up, as in: sound with remarks: cam1 focus."""
+    """All remarks on a measurement.
+
+    ``line`` sums them up, for example as "sound with remarks: cam1 focus".
+    """
 
     remarks: tuple[Remark, ...] = ()  # The gravest first
     # By pair of cameras: agreement and eps_y at each of `frames`

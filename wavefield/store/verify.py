@@ -86,7 +86,7 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
     Raises
     ------
     StoreError
-        If it is not there, is not a store of this program, or its metadata are damaged.
+        If the store does not exist, is not one of wavefield, or has damaged metadata.
 
     Notes
     -----

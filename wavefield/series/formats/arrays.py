@@ -58,6 +58,7 @@ class _Dataset:
 
 def _times(data: h5py.Dataset) -> Times:
     """Return the times of images, (count,), s; empty if the file has none with a known unit.
+
     They are the coordinate of the first dimension (netCDF), or else the dataset `time` of the same group.
     """
     scales = [scale for scale in data.dims[0].values() if scale.ndim == 1]

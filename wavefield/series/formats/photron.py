@@ -28,7 +28,9 @@ _XML = {
 
 def open_photron(path: Path) -> Recording:
     """Open a recording of a Photron camera by the path of its .mraw, .cihx or .cih file.
-    FrameError if one of the two files is missing or damaged, or if the images are not grey.
+
+    FrameError if the pixels (.mraw) or the header (.cihx or .cih) are missing or damaged, or if the images
+    are not grey.
     """
     note = _with_ending(path, ".cihx", ".cih", ".CIHX", ".CIH")
     if note is None:

@@ -130,6 +130,7 @@ def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
 
 def complete_images(path: Path, count: int, start: Callable[[int], int], each: int) -> int:
     """Return how many of the `count` images of a file are complete; FrameError if none is.
+
     `start` gives the byte at which an image begins, `each` is the number of bytes of an image.
     """
     complete = bisect_right(range(count), path.stat().st_size, key=lambda index: start(index) + each)

@@ -106,7 +106,10 @@ class Video:
         raise FrameError(f"{self.path}, image {index}: cannot be decoded; is it damaged?")
 
     def _key(self, stamp: int) -> int:
-        """Return the time of the last key frame (coded without others) at or before `stamp`, in ticks."""
+        """Return the time of the last key frame at or before `stamp`; both are in ticks of the container.
+
+        A key frame is coded without reference to other frames.
+        """
         return max((pts for pts, _ in self._keys if pts <= stamp), default=self._stamps[0])
 
     def _seek(self, stamp: int) -> None:
