@@ -245,13 +245,16 @@ _BIN_EDGES = np.linspace(-5, 5, 101)  # errors in units of their rms
 
 
 def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
-    """Errors of pairs of cameras, each pair measured alone at some steps; None if no step can be measured.
+    """Measure some steps with each pair of cameras alone, and return errors; None if no step is measured.
 
     Returns ``rms`` and ``beyond`` (fraction of outliers), both (error,), and ``density`` (error, bin), the
     probability density of errors in units of their rms. Each error has the coordinates ``quantity``,
-    ``cameras`` and ``units``. Quantities are ``eps_y``, ``sigma_z`` and ``eps_piv`` of a pair; ``z``, ``dx``,
-    ``dy`` and ``dz`` of one pair minus another; and ``z_recombined``: z of a pair computed from two other
-    pairs minus z measured directly.
+    ``cameras`` and ``units``. The quantities are:
+
+    - ``eps_y``, ``sigma_z`` and ``eps_piv``: epipolar error, standard uncertainty of z, and misfit of the
+      displacements in the images, of one pair;
+    - ``z``, ``dx``, ``dy`` and ``dz``: elevation and displacement by one pair minus those by another;
+    - ``z_recombined``: z of a pair computed from two other pairs minus z measured directly.
     """
     geometry, model = prepared.geometry, prepared.model
     sheet = geometry.settings.sheet_thickness is not None  # cameras are not matched with each other
@@ -338,7 +341,7 @@ def uncertainty_terms(
     step: int | None = None,
     rig: str | Path | Rig | None = None,
 ) -> xr.Dataset:
-    """Terms of the standard uncertainties of one step; the sum of their squares is the variance.
+    """Return the terms of the standard uncertainties of one step; their squares add to the variance.
 
     Parameters
     ----------

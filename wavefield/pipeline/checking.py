@@ -151,7 +151,7 @@ def whole_step(series: Mapping[str, FrameSeries]) -> int:
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """Frames of one camera; only a sample of them is read in records of more than 24 frames."""
+    """What `check` found in the frames of one camera; in records of over 24 frames, it reads a sample."""
 
     name: str  # Name of the camera
     frames: int  # Number of frames that have a file

@@ -45,7 +45,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Chunk:
-    """A range of steps with the frames that it needs."""
+    """A range of steps that one task measures, with the frames that it needs."""
 
     start: int  # First step
     stop: int  # Step after the last
@@ -63,7 +63,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Measured:
-    """Results of a chunk of n steps."""
+    """Results of `measure_chunk` for a chunk of n steps."""
 
     fields: dict[str, np.ndarray]  # (n, ny, nx): The variables of `wavefield.variables.CUBE_FIELDS`
     frame_status: np.ndarray  # (n,): See `wavefield.variables.FrameStatus`

@@ -153,7 +153,8 @@ def check_images(
 ) -> None:
     """Raise StoreError if images differ from those with which the run of a cube began.
 
-    `begun` has their checksums by camera and index of the frame. Images that cannot be read are skipped.
+    `begun` has the checksums of the first images, by camera and index of frame, as `fingerprints` returns
+    them. `store` names the cube in the message. Missing cameras and images that cannot be read are skipped.
     """
     for name, sums in begun.items():
         for index, expected in sums.items():
@@ -234,7 +235,7 @@ class Run:
 
     @cached_property
     def grid(self) -> Grid:
-        """The nodes of the cube."""
+        """The nodes of the cube, from its recipe or else from its coordinates."""
         if grid := self.recipe.get("grid"):
             return Grid(**grid)
         x, y = self.cube.x.values, self.cube.y.values

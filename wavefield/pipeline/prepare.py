@@ -1,6 +1,6 @@
 """Read and check frames, rig, grid, settings and search ranges before a run.
 
-Rigs, grids and elevations that cannot be in metres are refused. A step is the interval between two
+Rigs, grids and elevations that cannot be in metres raise errors. A step is the interval between two
 consecutive frames; a chunk is a range of steps that one task measures. A recipe is everything that determines
 the values of a cube (`wavefield.store.recipe`); a workflow states how a run is computed
 (`wavefield.execution.workflow`).
@@ -184,7 +184,7 @@ MAX_CHUNK_STEPS = 100  # the five extra frames of a chunk cost as much as one or
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """Inputs of a run, read and checked."""
+    """Inputs of a run, read and checked by `prepare`."""
 
     experiment: Experiment  # The experiment
     series: Mapping[str, FrameSeries]  # Frames of the measuring cameras

@@ -94,8 +94,8 @@ def run(
 
     A run resumes only with the recipe of its store: settings, rig, grid, names of images, and the version of
     the algorithm. Labels (name, description, water) may change: they are updated in the cube, and nothing is
-    measured again. Changed images under the same names are refused if the first, middle or last frame of a
-    camera differs.
+    measured again. A StoreError is raised if the first, middle or last image of a camera has changed under
+    the same name.
 
     Worker processes import the program that started them: in a script, call this below
     ``if __name__ == "__main__":``.
@@ -307,7 +307,7 @@ class _Tracker:
         self._since, self._before, self._logged = time.monotonic(), done, 0.0
 
     def start(self) -> None:
-        """Start the clock from which the time per step is estimated."""
+        """Start the clock from which the time that is left is estimated."""
         self._since = time.monotonic()
 
     def add(self, steps: int) -> None:

@@ -6,8 +6,8 @@ reads without this package. The documentation's page on waves lists its groups a
 The wave vector k points where the wave goes: f = Re sum F exp(i (k . x - omega t)) with omega > 0. Spectra
 are densities per rad/m and rad/s, one-sided in omega; their integral is the variance. Coordinates are
 ``omega`` (rad s-1) with ``frequency`` (Hz), ``k`` (rad m-1, centres of rings) with ``cycles`` (m-1), ``kx``
-and ``ky`` (rad m-1). Intervals are factors: low E to high E holds the truth with 95 % confidence. ``valid``
-marks the reliable part of a spectrum.
+and ``ky`` (rad m-1). ``low`` and ``high`` are factors: the 95 % interval is ``low`` E to ``high`` E.
+``valid`` marks the reliable part of a spectrum.
 """
 
 import threading
@@ -125,7 +125,7 @@ class _Chain:
 
 
 class _Counter:
-    """Reports the number of parts that are done, from any thread."""
+    """Counts the parts of an analysis that are done, in any thread, and reports the count to the user."""
 
     def __init__(self, progress: Progress, total: int) -> None:
         self._progress, self._total, self._done, self._lock = progress, total, 0, threading.Lock()

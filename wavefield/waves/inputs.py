@@ -52,7 +52,7 @@ def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
 
 
 def described(given: object) -> str:
-    """Describe an argument in a few words, for error messages."""
+    """Return a few words that describe an argument by its type and variables, for error messages."""
     if isinstance(given, xr.DataArray):
         return f"a variable over {', '.join(map(str, given.dims)) or 'nothing'}"
     if isinstance(given, xr.Dataset):

@@ -55,9 +55,9 @@ MIN_PERIODS = (
 
 
 def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
-    """Drop the spectral peak, steepness and wave height, with a note, if the record has too few peak periods.
+    """Drop spectral peak, steepness and wave height, with a note, if the record is too short for them.
 
-    `seconds` is the duration of the record.
+    `seconds` is the duration of the record; ten periods of the spectral peak are needed.
 
     Examples
     --------

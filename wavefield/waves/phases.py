@@ -58,7 +58,7 @@ def phase_average(
     -----
     Each step contributes to the two nearest phases, with linear weights. Phases a distance d apart therefore
     contain the fraction (sin(n d / 2) / (n d / 2))^2 of harmonic n. ``harmonic_amplitude`` is fitted to all
-    steps and contains all of it. The uncertainty assumes that the non-repeating parts of steps are
+    steps and is not reduced. The uncertainty assumes that the non-repeating parts of steps are
     independent.
 
     Examples

@@ -253,10 +253,10 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
 
 
 def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[NDArray[np.bool_], float]:
-    """Mask of the probe samples within `span` (start and end of the record, s), and their rate, Hz.
+    """Return a mask of the probe samples within `span`, and their sampling rate, Hz.
 
-    Raises CubeError if they cover less than about one segment (`duration`, s), or if they are not evenly
-    spaced.
+    `span` is the start and end of the record, s. Raises CubeError if the samples cover less than about one
+    segment (`duration`, s), or if they are not evenly spaced.
     """
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:

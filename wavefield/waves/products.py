@@ -91,7 +91,7 @@ def registered() -> list[WaveProduct]:
 def compute_ready(
     waiting: list[WaveProduct], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
 ) -> dict[str, Sequence[str]]:
-    """Compute the products in `waiting` whose inputs are in `values`, until none is left.
+    """Compute all products in `waiting` that can be computed from `values` and from each other.
 
     Removes them from `waiting`, adds their values to `values`, and returns their notes by name of product.
     `each(work, items)` computes costly products on workers; without it, this process computes all.

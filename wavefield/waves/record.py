@@ -167,7 +167,7 @@ class Record:
         return sum(b - a for a, b in self.runs if b - a >= shortest)
 
     def part(self, first: int, stop: int) -> "Record":
-        """The record restricted to the steps ``first`` to ``stop`` of one run."""
+        """Return the record restricted to the steps from ``first`` to ``stop`` (excluded) of one run."""
         return replace(
             self, runs=((first, stop),), bridged=tuple(n for n in self.bridged if first <= n < stop)
         )

@@ -32,12 +32,18 @@ class Rings:
 
 
 def wavenumbers(n: int, step: float) -> np.ndarray:
-    """Wavenumbers of the transform of `n` nodes `step` apart, (n,), rad/m, in numpy's order."""
+    """Return the wavenumbers of the transform of `n` nodes, (n,), rad/m, in the order of numpy.fft.
+
+    `step` is the distance of the nodes, m.
+    """
     return 2 * np.pi * np.fft.fftfreq(n, step)
 
 
 def half_plane(ny: int, nx: int, dy: float, dx: float) -> np.ndarray:
-    """Wavenumbers |k| of the cells of the half plane kx >= 0, (ny * (nx // 2 + 1),), rad/m."""
+    """Return |k| of the cells of the half plane kx >= 0, (ny * (nx // 2 + 1),), rad/m.
+
+    `dy` and `dx` are the distances of the nodes, m.
+    """
     k: np.ndarray = np.hypot(wavenumbers(ny, dy)[:, None], wavenumbers(nx, dx)[: nx // 2 + 1])
     return k.ravel()
 

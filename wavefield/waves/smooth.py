@@ -74,7 +74,7 @@ class PlaneWaves:
         self.set_current(current)
 
     def set_current(self, current: Array) -> None:
-        """Set the current, m/s, and compute the response of the fields to each unknown."""
+        """Set the current (2,), m/s, and compute the response of the fields to each unknown for it."""
         k, drift = np.hypot(self.kx, self.ky), self.kx * current[0] + self.ky * current[1]
         sigma = dispersion(k, *self.water)
         per_elevation = sigma / (k * np.tanh(np.minimum(k * min(self.water[0], 1e6), 300.0)))
@@ -169,7 +169,7 @@ class PlaneWaves:
 
 
 class Posterior:
-    """Gaussian posterior of the unknowns of `PlaneWaves`.
+    """Gaussian posterior distribution of the unknowns of `PlaneWaves`, given measured fields.
 
     It is computed from the normal matrix of the fit and the prior variance of each unknown.
     """
@@ -477,14 +477,15 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
         ``v_std``, ``w_std``; ``quality`` and ``frame_status`` where present. A lazy cube gives a lazy result,
         except that eight short parts of it are read at once, to learn spectrum, noise and current.
     depth : float, optional
-        Depth of the water, m; by default that of the cube, or deep.
+        Depth of the water, m; by default the depth stored with the cube, or else deep water.
 
     Returns
     -------
     Dataset
         Smoothed z, u, v, w and their standard uncertainties, over the same nodes and times, with the
-        ``quality`` of the cube. Values are not changed at nodes that are not measured and in windows across a
-        jump of time. The attribute ``smoothed`` gives the number of steps in a window and the current.
+        ``quality`` of the cube. Values do not change at nodes that are not measured, and in windows that
+        contain lost or doubled frames (``frame_status`` discontinuous). The attribute ``smoothed`` gives the
+        number of steps in a window and the current.
 
     Raises
     ------

@@ -53,9 +53,10 @@ def segment_count(steps: int, segment: int) -> int:
 
 
 def choose_segment(steps: int) -> int:
-    """Default length of a segment, steps: a quarter of the record, rounded down to an even, fast FFT length.
+    """Return the default length of a segment, steps, for a run of `steps` steps.
 
-    It is at most 512 steps, and at least 64 or the whole record.
+    It is a quarter of the run, but at most 512 steps and at least 64 (or the whole run), rounded down to an
+    even number with a fast Fourier transform.
     """
     longest = min(DEFAULT_SEGMENT, max(steps // 4, min(64, steps)))
     even = longest - longest % 2
@@ -138,7 +139,7 @@ def segment_length(record: Record, segment: int | None) -> int:
 
 
 def count_segments(record: Record, segment: int) -> int:
-    """Number of segments, overlapping by half, in all runs of a record."""
+    """Return the number of segments, overlapping by half, in all runs of a record."""
     return sum(segment_count(b - a, segment) for a, b in record.runs)
 
 
@@ -260,12 +261,12 @@ def sum_segments(
 
 
 def add_sums(a: Sums, b: Sums) -> Sums:
-    """Add two dictionaries of arrays by name; a name in only one of them is kept."""
+    """Add two dictionaries of arrays by name; a name in only one of them is kept as it is."""
     return {**a, **b} | {name: a[name] + b[name] for name in a if name in b}
 
 
 def spatial_window(ny: int, nx: int) -> np.ndarray:
-    """Hann window in space, (ny, nx)."""
+    """Return the Hann window in space, (ny, nx)."""
     return np.outer(hann(ny), hann(nx))
 
 
@@ -351,18 +352,18 @@ MIN_OVER_FILLED = 4.0
 
 
 def omega_coords(omega: Array) -> Coordinates:
-    """Coordinates ``omega`` (rad/s) and ``frequency`` (Hz)."""
+    """Return the coordinates ``omega`` (rad/s) and ``frequency`` (Hz) of a spectrum."""
     return {"omega": ("omega", omega), "frequency": ("omega", omega / (2 * np.pi))}
 
 
 def k_coords(k: Array) -> Coordinates:
-    """Coordinates ``k`` (rad/m) and ``cycles`` (1/m)."""
+    """Return the coordinates ``k`` (rad/m) and ``cycles`` (1/m) of a spectrum."""
     return {"k": ("k", k), "cycles": ("k", k / (2 * np.pi))}
 
 
 @dataclass(frozen=True)
 class Welch:
-    """Welch's estimator for one record: its segments, its frequencies and its rings of wavenumber |k|."""
+    """Welch's estimator for one record: it derives segments, frequencies, rings of |k| and factors."""
 
     record: Record  # rectangle and runs
     segment: int  # steps of a segment
