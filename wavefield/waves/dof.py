@@ -35,17 +35,21 @@ CORRELATED_CELLS = 2 * sum(HANN_CORRELATION) - 1  # cells along an axis that cou
 
 
 def hann_correlation(lines: int) -> Array:
-    """Squared correlation of the lines of a Hann window, (lines, lines), for a flat spectrum."""
+    """Return the squared correlation of any two Fourier lines under a Hann window, (lines, lines).
+
+    The spectrum is taken as flat.
+    """
     first = np.zeros(lines)
     first[: len(HANN_CORRELATION)] = HANN_CORRELATION[:lines]
     return np.asarray(linalg.toeplitz(first))
 
 
 def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
-    """Degrees of freedom, (n,), of a sum of correlated powers.
+    """Return the degrees of freedom of n sums of correlated powers, (n,).
 
-    (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)], with P = power (parts, n), nu = dof (parts, n)
-    and the squared correlation of the parts rho2 = overlap (parts, parts).
+    They are (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)], with the powers P =
+    `power` (parts, n), their degrees of freedom nu = `dof` (parts, n), and the squared correlation rho2 =
+    `overlap` (parts, parts) of the parts, which is scaled to 1 on its diagonal.
 
     Examples
     --------
@@ -63,7 +67,10 @@ def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
 
 
 def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
-    """Dataset of a spectrum with its degrees of freedom and its 95 % interval."""
+    """Return a spectrum ``E`` with its degrees of freedom ``dof`` and interval ``low``, ``high``.
+
+    ``low`` and ``high`` are factors of E that give the limits of its 95 % interval. ``dof`` is at least 1.
+    """
     dof = dof.clip(min=1)
     low, high = (
         xr.apply_ufunc(lambda d, i=i: interval(d)[i], dof, dask="parallelized", output_dtypes=[float])
@@ -77,9 +84,11 @@ ROUNDS = 4  # of deconvolution; tuned on random seas: with one, intervals of E(o
 
 
 def expected_segment_correlation(power: Array, count: int) -> Array:
-    """Variance of a mean over K = count segments relative to independent ones, from power (n, lines).
-    1 + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, (n, lines), with
-    the deconvolved spectrum S, the power W^2 of the Hann window about a line and the length T of a segment.
+    """Return the variance of a mean over segments relative to independent segments, (n, lines).
+
+    It follows from n spectra, `power` (n, lines), and the number K = `count` of half-overlapping segments: 1
+    + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, where S is the
+    deconvolved spectrum, W^2 the power of the Hann window about a line, and T the length of a segment.
     """
     lines = np.arange(power.shape[1])
     between = FREQUENCIES_PER_LINE
@@ -118,7 +127,7 @@ NOISE_LINES = 0.75  # of the Nyquist frequency; the mean power above it is taken
 
 
 def hann_autocorrelation(lag: Array) -> Array:
-    """Autocorrelation of a Hann window of length 1.
+    """Return the autocorrelation of a Hann window of length 1, relative to its value at lag zero.
 
     Examples
     --------
@@ -130,10 +139,12 @@ def hann_autocorrelation(lag: Array) -> Array:
 
 
 def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
-    """Variance of a mean over segments relative to independent ones, for wave packets at a velocity, m/s.
-    1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2, with K = count segments of duration T, s. Here
-    c(t) = int a(s / T) a(v_x (t - s) / L_x) a(v_y (t - s) / L_y) ds with the autocorrelation a of the Hann
-    window and the lengths L of the field, m: a packet counts while it is inside the windows.
+    """Return the variance of a mean over segments relative to independent segments, for wave packets.
+
+    The packets move at `velocity`, the arrays v_x and v_y, m/s, and the result has their shape. It is 1 + 2
+    sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2, with K = `count` segments of the `duration` T, s. Here c(t) = int
+    a(s / T) a(v_x (t - s) / L_x) a(v_y (t - s) / L_y) ds, with the autocorrelation a of the Hann window and
+    the `lengths` L_x, L_y of the field, m. So a packet counts while it is inside the windows.
     """
     s = np.linspace(-1, 1, LAGS)
     in_time = hann_autocorrelation(s)
@@ -155,8 +166,10 @@ def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence
 
 @lru_cache(maxsize=8)
 def crossing_correlation(welch: Welch) -> Array:
-    """Variance of a mean over segments relative to independent ones, for free waves, (rings,).
-    `correlation_at` for the group velocity plus the current, averaged over the directions of waves.
+    """Return the variance of a mean over segments relative to independent ones, for free waves, (rings,).
+
+    It is the result of `correlation_at` for the group velocity plus the current, averaged over the directions
+    of waves.
     """
     record, table = welch.record, welch.table
     lengths = record.shape[1] * record.dx, record.shape[0] * record.dy
@@ -168,22 +181,33 @@ def crossing_correlation(welch: Welch) -> Array:
 
 
 def wave_share(power: Array) -> Array:
-    """Fraction of the powers (rings, lines) that is due to waves and not to white noise."""
+    """Return the fraction of the powers (rings, lines) that is due to waves and not to white noise.
+
+    The noise of a ring is its mean power above three quarters of the Nyquist frequency.
+    """
     first = int(NOISE_LINES * (power.shape[1] - 1))
     noise = power[:, first:-1].mean(axis=1, keepdims=True) if first < power.shape[1] - 1 else 0.0
     return np.asarray(1 - np.minimum(noise / np.maximum(power, 1e-300), 1.0))
 
 
 def keep_points(sums: dict[str, Array], name: str, first: Array, second: Array, begin: int) -> None:
-    """Keep the Fourier lines (nodes, lines) of some nodes for the segment that begins at step ``begin``."""
+    """Add the Fourier lines (nodes, lines) of a segment at some nodes to `sums`.
+
+    `first` and `second` (nodes, steps) are the values in the two halves of the segment, which begins at step
+    `begin`. The key is "points <name> from <begin>".
+    """
     series = np.concatenate([first, second], axis=1)
     series = (series - series.mean(axis=1, keepdims=True)) * hann(series.shape[1])
     sums[f"points {name} from {begin:012d}"] = fft.rfft(series, axis=1).astype(np.complex64)
 
 
 def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) -> Array:
-    """Number of independent segments of each line, (n,), from Fourier lines (segments, nodes, n) of nodes.
-    K / (1 + 2 sum_L (1 - L / K) |r_L|^2) with the correlation r_L of segments L places apart.
+    """Return the number of independent segments at each frequency, (n,).
+
+    It is K / (1 + 2 sum_L (1 - L / K) |r_L|^2), where r_L is the correlation of segments L places apart.
+    `lines` (segments, nodes, n) are Fourier lines of K segments at some nodes. `place` (segments,) counts
+    halves of a segment from the first segment. `modes` is the number of independent series among the nodes,
+    for the bias of |r_L|^2.
     """
     count, size = len(lines), int(place[-1]) + 1
     padded = np.zeros((2 * size, *lines.shape[1:]), complex)
@@ -200,8 +224,10 @@ def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) ->
 
 
 def independent_nodes(lines: Array, number: Array) -> Array:
-    """Number of independent waves of each line, (n,), from Fourier lines (segments, nodes, n) of some nodes.
-    (tr C)^2 / |C|^2 with their covariance C, corrected for its bias with ``number`` independent segments.
+    """Return the number of independent waves at each frequency, (n,).
+
+    It is (tr C)^2 / |C|^2 with the covariance C of the nodes, from the Fourier lines `lines` (segments,
+    nodes, n). The bias of C is corrected for `number` independent segments.
     """
     total = (np.abs(lines) ** 2).sum(axis=(0, 1))
     covariance = np.einsum("spn,sqn->npq", lines.conj(), lines, optimize=True)
@@ -212,19 +238,24 @@ def independent_nodes(lines: Array, number: Array) -> Array:
 
 
 def of_products(dof: Mapping[str, Array], power: Array, dof_omega: Array) -> dict[str, Array]:
-    """Degrees of freedom of a nonlinear term: its own, reduced by those of the total energy of the waves.
-    Its energy is quadratic in that of the waves, so their relative variance counts four times.
+    """Return degrees of freedom of the nonlinear term: its own `dof`, reduced by those of the wave energy.
+
+    The energy of the term is quadratic in the energy of the waves, so the relative variance of the wave
+    energy counts four times. `power` and `dof_omega`, both (lines,), are the spectrum of the waves and its
+    degrees of freedom. `dof` and the result are dictionaries as from `ring_freedom`.
     """
     total = sum_freedom(power[:, None], dof_omega[:, None], hann_correlation(power.size))
     return {axes: (1 / (1 / own + 4 / total)).clip(1, None) for axes, own in dof.items()}
 
 
 def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, Array]:
-    """Degrees of freedom of E(k, omega), E(omega) and E(k), under the names "both", "omega" and "k".
+    """Return the degrees of freedom of E(k, omega), E(omega) and E(k), under "both", "omega" and "k".
 
-    Those of independent segments, divided by the correlation of segments, but at most twice the number of
-    independent segments times that of independent waves. The limit matters for peaks narrower than the lines
-    of the whole record, whose level hardly varies from segment to segment.
+    `sums` are the sums of `add_segment`, and `name` is the quantity. The degrees of freedom for independent
+    segments are divided by the factor by which correlated segments raise the variance. They are limited to
+    twice the number of independent segments times the number of independent waves, both found at 16 nodes.
+    The limit matters for peaks narrower than the lines of the whole record, whose level hardly varies between
+    segments.
     """
     power, cells = sums[name][0], welch.freedom(sums[name])
     independent = cells * overlap_factor(welch.count)
@@ -249,8 +280,10 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, 
 
 
 def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
-    """Degrees of freedom of E(omega) averaged over all nodes with equal weights, from those under the window.
-    Waves of a frequency lie on an arc in the k plane; the window correlates `CORRELATED_CELLS` of its cells.
+    """Return the degrees of freedom of E(omega) averaged over all nodes with equal weights, (lines,).
+
+    `dof` (lines,) holds the degrees of freedom under a Hann window in space. Waves of a frequency lie on an
+    arc in the k plane, and the window correlates `CORRELATED_CELLS` cells along it.
     """
     arc = np.maximum(dof / welch.dof, 1.0)
     return np.asarray(dof * (1 + (arc - 1) * CORRELATED_CELLS) / arc)
@@ -259,13 +292,16 @@ def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
 def independent_samples(
     sums: Mapping[str, Any], first: str, second: str, dof_k: tuple[Array, Array], welch: Welch
 ) -> dict[str, Array]:
-    """Number N of independent samples of the cross spectrum of two fields, over (k, omega) and over k.
+    """Return the number N of independent samples of a cross spectrum, over (k, omega) and over k.
 
-    For unrelated fields the mean of |S_ab|^2 is E_a E_b / N. N is small where both have their energy in the
-    same cells of a ring. The mean of |A|^2 |B|^2 in a cell is (1 + gamma^2) times the product of the mean
-    powers. Over k, N is half the degrees of freedom of E(k), ``dof_k``, since powers and products have the
-    same correlations. The nonlinear term does not follow the dispersion relation, so overlap alone correlates
-    its segments, with a coefficient of 1 / 6.
+    The result holds N (rings, lines) under "both", and N (rings,) of the sum over omega under "k". `first`
+    and `second` are the two quantities, and `dof_k` holds the degrees of freedom of E(k) of each.
+
+    For unrelated fields the mean of |S_ab|^2 is E_a E_b / N. N is small where both fields have their energy
+    in the same cells of a ring. It follows from the mean of |A|^2 |B|^2, which in a cell is (1 + gamma^2)
+    times the product of the mean powers. For the sum over omega, N is about half of `dof_k`, because powers
+    and products have the same correlations. The nonlinear term nl does not follow the dispersion relation, so
+    overlap alone correlates its segments, with a coefficient of 1 / 6.
     """
     product = sums[first][0] * sums[second][0]
     power, there = np.sqrt(product), product > 0
@@ -292,8 +328,10 @@ def independent_samples(
 
 
 def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
-    """Degrees of freedom of sums of powers (rings, lines): over k, "omega", and over omega, "k".
-    Neighbouring rings are correlated as in a flat spectrum, since the dispersion relation is thinner.
+    """Return the degrees of freedom of sums over k, under "omega", and of sums over omega, under "k".
+
+    `power` and its degrees of freedom `dof` are (rings, lines). Neighbouring rings are correlated as in a
+    flat spectrum, since the dispersion relation is thinner.
     """
     overlap, own = welch.table.overlap, np.sqrt(np.diag(welch.table.overlap).clip(1e-300))
     return {
@@ -303,9 +341,10 @@ def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
 
 
 def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
-    """Factors (rings, lines) by which correlation between segments raises the variance of a mean over them.
+    """Return factors by which the correlation of segments raises the variance of a mean over segments.
 
-    The first is for single cells, the second for each cell as a part of a sum over k or over omega.
+    Both are (rings, lines). The first is for single cells (k, omega). The second is for a cell as a part of a
+    sum over k or over omega. `power` (rings, lines) is the spectrum.
     """
     white = overlap_factor(welch.count)
     line = expected_segment_correlation(power, welch.count)
@@ -314,7 +353,10 @@ def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
 
 
 def _segments(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
-    """First step of each segment, and the Fourier lines that were kept of it, (segments, ...)."""
+    """Return the first step of each segment, (segments,), and its Fourier lines, (segments, nodes, lines).
+
+    `name` is "points <quantity>"; the lines are those that `keep_points` added to `sums`.
+    """
     start = f"{name} from "
     names = sorted(key for key in sums if key.startswith(start))
     return np.array([int(key.removeprefix(start)) for key in names]), np.array(
@@ -323,5 +365,8 @@ def _segments(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
 
 
 def place_of(starts: Array, welch: Welch) -> NDArray[np.intp]:
-    """Place of each segment in the record, in halves of a segment."""
+    """Return the place of each segment in the record, (segments,), in halves of a segment.
+
+    `starts` (segments,) are the first steps of the segments. The first segment has place 0.
+    """
     return np.asarray((starts - starts[0]) // welch.half)

@@ -21,16 +21,17 @@ _AXES = ("time", "y", "x")
 
 
 def lags(longest: int) -> Array:
-    """Lags 1, 2, 3, 4, 6, 8, 12, ... up to the longest, in steps or nodes, (lags,)."""
+    """Return the lags 1, 2, 3, 4, 6, 8, 12, ... up to `longest`, in steps or nodes, (lags,)."""
     doubled = 2 ** np.arange(0, 32)
     both = np.unique(np.concatenate([doubled, 3 * doubled]))
     return both[both <= longest]
 
 
 def powers_of_differences(values: Array, axis: int, lag: int, differences: int) -> Array:
-    """Number of increments along an axis, and the sums of |increment|^p for p = 1 to 6, (7,).
+    """Return the number of increments along an axis and the sums of |increment|^p for p = 1 to 6, (7,).
 
-    ``differences`` is 1 or 2, for first or second differences. Zeros if the axis is shorter than the lag.
+    `lag` is in nodes or steps. `differences` is 1 or 2, for first or second differences. The result is
+    zero if the axis is too short for an increment.
 
     Examples
     --------
@@ -52,7 +53,11 @@ def powers_of_differences(values: Array, axis: int, lag: int, differences: int) 
 
 
 def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[int, int]]]:
-    """Cut the runs into blocks (start, stop, run), twice as long as the longest lag if there are enough."""
+    """Return the blocks of steps, (start, stop, run), into which the runs of a record are cut.
+
+    A block is twice as long as the `longest` lag, in steps, or shorter if there would be fewer than eight
+    blocks.
+    """
     steps = sum(b - a for a, b in record.runs)
     length = max(min(2 * longest, steps // MIN_BLOCKS), 2)
     return [(a, a + length, run) for run in record.runs for a in range(run[0], run[1] - length + 1, length)]
@@ -82,8 +87,9 @@ def structure_functions(
     Dataset
         ``structure_time`` (lag_time, order), ``structure_x`` (lag_x, order) and ``structure_y`` (lag_y,
         order): S_p, the mean of |increment|^p for p = 1 to 6, in the field's units to the power p;
-        ``flatness_time``, ``flatness_x``, ``flatness_y``: S_4 / S_2^2; standard uncertainties ``_std`` of
-        all. Lags are in s and m. Attributes ``differences``, ``blocks``, ``gaussian_flatness`` (3).
+        ``flatness_time``, ``flatness_x``, ``flatness_y``: S_4 / S_2^2; standard uncertainties of all,
+        with ``_std`` after the name. Lags are in s and m. Attributes ``differences``, ``blocks``
+        (the number of blocks in the bootstrap) and ``gaussian_flatness`` (3).
 
     Raises
     ------
@@ -155,7 +161,10 @@ def structure_functions(
 
 
 def _moments(sums: Array) -> tuple[Array, Array]:
-    """Structure functions (..., lags, orders) and flatness (..., lags), from numbers and sums of powers."""
+    """Return structure functions (..., lags, orders) and flatness (..., lags).
+
+    `sums` (..., lags, 7) are sums of the results of `powers_of_differences`.
+    """
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = sums[..., 1:] / sums[..., :1]
         return mean, mean[..., 3] / mean[..., 1] ** 2
