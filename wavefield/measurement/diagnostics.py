@@ -121,7 +121,10 @@ def joined(cameras: Sequence[str]) -> str:
 
 
 def rms_within(values: NDArray[Any]) -> tuple[float, float]:
-    """Rms of the finite values without those beyond three times the rms, and the fraction of these."""
+    """Return the rms of the finite values without outliers, and the fraction of outliers, 0 to 1.
+
+    Outliers are values whose magnitude is more than three times the rms of all finite values.
+    """
     values = values[np.isfinite(values)]
     if values.size == 0:
         return float("nan"), 0.0
@@ -204,7 +207,11 @@ def diagnose(
 def _learned(
     frames: Frames, geometry: GridGeometry, model: Model | None, masks: Frames
 ) -> tuple[GridGeometry, Model, Images, Images]:
-    """Geometry, model and images of both frames; the model is learned from them if None."""
+    """Return the geometry, the model and the prepared images of the first and of the second frame.
+
+    If `model` is None, it is learned from these frames, with a geometry in which all cameras measure
+    velocity. Raises ValueError if a camera has no usable frame or nothing can be learned.
+    """
     instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
     covered = [{n: masks[n][k] for n in masks} for k in (0, 1)]
     if model is None:
@@ -223,7 +230,11 @@ def _learned(
 
 
 def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
-    """Displacement from the partner camera of `other` to that of `one`; both have the same reference."""
+    """Return the match from the second camera of `other` to the second camera of `one`.
+
+    The first camera of both pairs is the same, the reference. The result is the difference of both matches;
+    its `pair` and `found` are those of `one`.
+    """
     d, parallax = one.difference - other.difference, one.parallax - other.parallax
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / np.hypot(*parallax)
     rejected, matched = one.rejected | other.rejected, one.matched & other.matched
@@ -231,7 +242,7 @@ def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
 
 
 def _matched(view: Images, geometry: GridGeometry) -> dict[Pair, PairMatch]:
-    """Match the pairs of the geometry, and the direct pairs of their partners."""
+    """Match all pairs of cameras: those of the geometry, and each two of their second cameras directly."""
     pairs = [*geometry.pairs, *combinations([b for _, b in geometry.pairs], 2)]
     return {(a, b): match_pair(view.flat[a], view.flat[b], (a, b), geometry) for a, b in pairs}
 
@@ -243,9 +254,11 @@ def _moved(
     geometry: GridGeometry,
     model: Model,
 ) -> tuple[dict[Pair, NDArray[Any]], dict[tuple[str, ...], NDArray[Any]], list[float]]:
-    """`Diagnosis.moved` and `Diagnosis.eps_piv`, and the median standard uncertainties of dx, dy, dz.
+    """Return `moved` and `eps_piv` of `Diagnosis`, and three median standard uncertainties, metres.
 
-    `middle` (ny, nx) is the elevation at mid-time, metres.
+    The uncertainties are those of dx, dy and dz. `views` are the images of both frames. `middle` (ny, nx) is
+    the elevation half-way between them, metres. Pairs with a camera that does not measure velocity are left
+    out.
     """
     moved: dict[Pair, NDArray[Any]] = {}
     eps_piv: dict[tuple[str, ...], NDArray[Any]] = {}
@@ -275,7 +288,11 @@ def diagnose_around(
     middle: int,
     pixel: float,
 ) -> Diagnosis | None:
-    """Diagnose the usable step nearest to step `middle`; None if there is none. pixel is in metres."""
+    """Compare the cameras in the step nearest to step `middle` that can be compared (`diagnose`).
+
+    `read(camera, frame)` returns an image or None, `steps` is the number of steps, and `pixel` the length
+    that counts as one pixel, metres. Only the nearest MAX_TRIED_STEPS steps are tried; None if all fail.
+    """
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:MAX_TRIED_STEPS]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}
         try:

@@ -49,7 +49,10 @@ Flows = Mapping[str, CameraFlow]
 
 @dataclass
 class FlowEstimate:
-    """MAP displacement between two frames: waves + edges + harmonics; with the information it came from."""
+    """Most probable (MAP) displacement from one frame to the next, as a sum of three parts.
+
+    The parts are a series of cosines, a smooth field with the slopes at the edges, and a correction.
+    """
 
     waves: Float  # (2, my, mx): cosine coefficients, px
     edges: Float = field(repr=False)  # (2, ny, nx): smooth part (`Modes.split`), px
@@ -60,19 +63,21 @@ class FlowEstimate:
 
     @property
     def information(self) -> Float:
-        """Mean of both diagonal elements of the information, (ny, nx), px^-2."""
+        """Mean of the inverse variances of u and of v of each block, (ny, nx), px^-2."""
         return np.asarray(np.float32(0.5) * (self.each[0] + self.each[1]))
 
 
 def filled(found: matching.Displacement) -> Float:
-    """Displacement with holes filled by successively coarser means, (2, ny, nx), px."""
+    """Return u and v of a match, (2, ny, nx), px, with invalid blocks filled by means of those around."""
     return np.moveaxis(push_pull(np.stack([found.u, found.v], axis=-1), found.valid), -1, 0)
 
 
 def harmonics(midway: Float) -> Float:
-    """Second-harmonic correction from start-point to midpoint coordinates, (2, ny, nx), px.
-    With D the displacement as a function of the particle's midpoint, u(x) = D(x + u/2) gives
-    u - D = (D . grad) D / 2 to first order. The mean of D is excluded, because a common motion shifts waves
+    """Return the difference between displacements at start points and at midpoints, (2, ny, nx), px.
+
+    `midway` (2, ny, nx), px, is the displacement D as a function of a particle's midpoint, half-way between
+    the frames. As a function of the start point it is u(x) = D(x + u/2), so u - D = (D . grad) D / 2 to first
+    order, a second harmonic. The mean of the factor D is excluded, because a common motion shifts waves
     without changing them.
     """
     x, y = midway
@@ -88,10 +93,12 @@ def map_displacement(
     modes: Modes,
     with_harmonics: bool = False,
 ) -> FlowEstimate:
-    """MAP displacement from all blocks of a match, evaluated again at each solution until it converges.
+    """Estimate the most probable displacement (MAP) between two images from a match of their blocks.
 
-    The prior describes the displacement without the second-harmonic correction. While spectra and noise are
-    learned, this correction is not separated, because it would be as noisy as the fields are then.
+    The blocks of the images `one` and `other` are evaluated again at each solution, until solutions converge;
+    `modes` solves for the field. With `with_harmonics`, the field is separated from the correction that
+    `harmonics` computes. While spectra and noise are learned, the correction is not separated, because it
+    would be as noisy as the fields are then.
     """
     found = match
     u = filled(match)
@@ -138,9 +145,11 @@ def flows(
     settings: matching.MatchSettings,
     model: Model,
 ) -> dict[str, CameraFlow]:
-    """MAP displacement of every camera that has a usable frame at both instants.
+    """Return the most probable displacement (MAP) of each camera from its first image to its second.
 
-    All blocks of a camera are rejected as out of range if the waves are far higher than in the sample steps.
+    `first` and `second` hold the prepared images by camera; a camera without both is left out. `settings` are
+    those of the match. All blocks of a camera are rejected as out of range if its displacements vary far more
+    than in the sample steps of `model`.
     """
     out, learned = {}, dict(model.record.motion)
     for name in first:
@@ -155,7 +164,7 @@ def flows(
 
 
 def motion_variance(found: matching.Displacement) -> float:
-    """Variance of the matched displacement over the field, summed over both components, px^2."""
+    """Return the variance of u plus that of v over the valid blocks, px^2; 0 without any."""
     valid = found.valid
     return float(np.var(found.u[valid]) + np.var(found.v[valid])) if valid.any() else 0.0
 
@@ -166,12 +175,15 @@ def flow_near(
     other: matching.PreparedImage,
     model: FieldModel,
 ) -> CameraFlow:
-    """MAP displacement of one camera, starting from the match `near`."""
+    """Return the most probable displacement (MAP) from image `one` to `other` of a camera.
+
+    `near` is their match, from which the estimate starts; `model` is the estimator of this camera.
+    """
     return camera_flow(map_displacement(near, one, other, model.modes, True), model)
 
 
 def camera_flow(found: FlowEstimate, model: FieldModel) -> CameraFlow:
-    """The MAP displacement, prepared for interpolation."""
+    """Return the displacement `found` as spline coefficients with variances, for interpolation."""
     noise, missing = model.spread(found.information)
     spline = model.splined(found.waves, found.edges + found.harmonics)
     return CameraFlow(spline, noise, missing, why_rejected(found.found.reason))

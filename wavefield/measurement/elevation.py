@@ -29,7 +29,7 @@ MIN_MEASURED = 0.2  # least fraction of the common view with valid blocks; below
 
 @dataclass(frozen=True)
 class Blocks:
-    """Elevation on the lattice by least squares over all pairs, without a prior."""
+    """Elevation of each block by least squares over the pairs of cameras, before any use of a spectrum."""
 
     z: Float  # (ny, nx): elevation, metres; NaN where no pair is valid
     eps_y: Float  # (ny, nx): epipolar error, metres; NaN where no pair is valid
@@ -38,14 +38,15 @@ class Blocks:
 
     @property
     def filled(self) -> Float:
-        """Elevation with holes filled by successively coarser means, (1, ny, nx)."""
+        """Elevation with holes filled by means of the blocks around, (1, ny, nx), metres."""
         return np.moveaxis(push_pull(self.z[..., None], self.valid), -1, 0)
 
 
 def combine(matches: Sequence[PairMatch]) -> Blocks:
-    """Elevation by least squares over the valid pairs: z = -sum dD . d / sum |dD|^2.
+    """Compute the elevation of each block by least squares over the pairs that are valid there.
 
-    d is the displacement of a pair and dD its parallax. The epipolar error is
+    It is z = -sum dD . d / sum |dD|^2, with d the displacement between the images of a pair and dD its
+    parallax per metre of elevation. The part of d that no elevation explains is the epipolar error,
     eps_Y = sum (dD_y d_x - dD_x d_y) / sum |dD|.
     """
     shape = matches[0].eps_y.shape
@@ -69,7 +70,7 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
 
 @dataclass
 class ElevationEstimate:
-    """MAP elevation of one instant, waves + edges, with the information and noise of its blocks."""
+    """Most probable (MAP) elevation of one instant: a series of cosines plus a smooth field, `edges`."""
 
     waves: Float  # (1, my, mx): cosine coefficients, metres
     edges: Float = field(repr=False)  # (1, ny, nx): smooth part (`Modes.split`), metres
@@ -90,11 +91,13 @@ def map_elevation(
     whole_beads: bool,
     noise_across: bool = True,
 ) -> ElevationEstimate:
-    """MAP elevation from the blocks of all pairs; pixel in metres.
+    """Estimate the most probable elevation (MAP) from the matches of all pairs of cameras.
 
-    An elevation z displaces the image of a pair by -dD z, so the score for z is -dD . s and its Hessian is
-    dD H dD. With `whole_beads`, s and H come from `scores_at`, else from `reevaluate`. With `noise_across`,
-    the noise of the scores is measured across the sight lines, else along them.
+    `blocks` is their elevation by `combine`, `prepared` the rectified images, `modes` the solver, and `pixel`
+    the side of a rectified pixel, metres. An elevation z displaces the images of a pair by -dD z, with the
+    parallax dD. If a block has the score s and Hessian H for displacements, its score for z is therefore
+    -dD . s, and its Hessian dD H dD. With `whole_beads`, s and H come from `scores_at`, else from
+    `reevaluate`. With `noise_across`, the noise is measured across the sight lines, else along them.
     """
     z = blocks.filled
     edges, waves = modes.split(z)
@@ -129,9 +132,10 @@ def map_elevation(
 
 
 def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float) -> float:
-    """Mean information of blocks about the elevation before the MAP estimate, per square metre.
+    """Return the mean inverse variance of the elevation of single blocks, m^-2, before the MAP estimate.
 
-    Blocks without information do not count; pixel is in metres.
+    Blocks without information do not count; without any, it is 0. `pixel` is the side of a rectified pixel,
+    metres.
     """
     pairs = [_PairScores(m, pixel) for m in matches]
     z = blocks.filled[0]
@@ -142,21 +146,26 @@ def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float
 
 
 def _noise(score: Float, hessian: Float, freedom: float) -> Float:
-    """Noise of the scores (ny, nx) for the elevation, per unit of their Hessian (`noise_of_scores`)."""
+    """Return the variance of the scores for z per unit of their Hessian, (ny, nx) (`noise_of_scores`)."""
     return noise_of_scores(score[None], hessian, (hessian > 0).astype(np.float32), freedom)
 
 
 def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
-    """Noise of the scores per unit of their Hessian, (ny, nx), measured across the sight lines."""
+    """Return the variance of scores per unit of their Hessian, (ny, nx), across the sight lines.
+
+    `smooth` (ny, nx) is the smooth part of the error there (`_smooth_across`), which is subtracted. The
+    result includes the factor NOISE_MARGIN.
+    """
     parts = [one.across(smooth) for one in pairs]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     return np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
 
 
 def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:
-    """Smooth part of the epipolar error as an elevation, (ny, nx), and its rms, metres.
+    """Return the smooth part of the epipolar error, (ny, nx), and its rms, both as metres of elevation.
 
-    The rms is corrected for noise, which is estimated from the next shorter modes.
+    The smooth part consists of the longest cosine modes. Its rms is reduced by the gain of the MAP field, and
+    by noise, which is estimated from the next shorter modes.
     """
     waves = modes.waves(combine([m.turned for m in matches]).filled)
     smooth = np.zeros_like(waves)
@@ -186,7 +195,7 @@ class _PairScores:
         self.hessian = _through(self.D, self._hessian)
 
     def reevaluate(self, z: Float, prepared: PreparedImages, whole_beads: bool) -> None:
-        """Compute scores and Hessians of the two images at an elevation (ny, nx), metres."""
+        """Compute the scores and Hessians again at the elevation z (ny, nx), metres, and store them."""
         rise = z - self._height
         a, b = (prepared[name] for name in self.match.pair)
         u, v = self.match.found.u - self.D[0] * rise, self.match.found.v - self.D[1] * rise
@@ -195,11 +204,15 @@ class _PairScores:
         self._weigh()
 
     def score(self, z: Float) -> Float:
-        """Score at an elevation (ny, nx), extrapolated from the last evaluation."""
+        """Return the score for z (ny, nx), metres, extrapolated from the last evaluation."""
         return self._score(self.D, self.hessian, self.here - z)
 
     def across(self, smooth: Float) -> tuple[Float, Float]:
-        """Score and Hessian for "elevations" across the sight lines, less their smooth part (ny, nx)."""
+        """Return score and Hessian, each (ny, nx), for displacements across the sight lines.
+
+        No elevation causes such displacements; they are expressed in metres of elevation, as `smooth` (ny,
+        nx), their smooth part, which is subtracted.
+        """
         D = quarter_turn(self.D)
         hessian = _through(D, self._hessian)
         return self._score(D, hessian, self.match.turned.height - smooth), hessian
@@ -210,7 +223,7 @@ class _PairScores:
 
 
 def _through(D: Float, h: Float) -> Float:
-    """Quadratic form D h D of each block."""
+    """Return D h D, (ny, nx), for vectors D (2, ny, nx) and symmetric matrices h (3, ny, nx): xx, xy, yy."""
     return np.asarray(D[0] ** 2 * h[0] + 2 * D[0] * D[1] * h[1] + D[1] ** 2 * h[2])
 
 
@@ -235,7 +248,10 @@ class Surface:
 
 
 def surface(prepared: PreparedImages, geometry: GridGeometry, model: FieldModel) -> Surface | None:
-    """Elevation at the nodes from the rectified frames of one instant; None if they cannot be matched."""
+    """Measure the elevation at the nodes from the rectified images of one instant, by camera.
+
+    The result is None if the images cannot be matched, and z = 0 for a light sheet.
+    """
     if geometry.settings.sheet_thickness is not None:
         return _sheet(geometry.grid.shape)
     found = match_pairs(prepared, geometry)
@@ -249,7 +265,7 @@ def surface_of(
     geometry: GridGeometry,
     model: FieldModel,
 ) -> Surface:
-    """Elevation at the nodes from matched pairs."""
+    """Estimate the elevation at the nodes from the matches of all pairs (the results of `match_pairs`)."""
     estimate = map_elevation(blocks, matches, prepared, model.modes, geometry.pixel, model.whole_beads)
     spline = model.splined(estimate.waves, estimate.edges)
     (noise,), (missing,) = model.spread(estimate.information)
@@ -284,7 +300,7 @@ def surface_of(
 
 
 def _sheet(shape: tuple[int, int]) -> Surface:
-    """The surface for a light sheet: z = 0 everywhere."""
+    """Return the surface for a light sheet: z = 0 at all nodes (ny, nx), measured, without uncertainty."""
     z = np.zeros(shape, np.float32)
     quality, inconsistent = np.full(shape, Quality.MEASURED, np.uint16), np.zeros(shape, bool)
     unknown = np.full_like(z, np.nan)
@@ -294,7 +310,11 @@ def _sheet(shape: tuple[int, int]) -> Surface:
 
 
 def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPairs | None:
-    """Match the pairs of one instant; None if fewer than two cameras have a frame or too few blocks match."""
+    """Match the rectified images of all pairs at one instant; return common elevation and matches.
+
+    If too few blocks match, it is tried again without the reference camera, whose frame may be blank. None if
+    this fails as well, or if fewer than two cameras have an image.
+    """
     present = tuple(prepared)
     while pairs := geometry.pairs_for(present):
         reference = pairs[0][0]
@@ -310,7 +330,10 @@ def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPair
 
 
 def windowed(matches: Sequence[PairMatch], geometry: GridGeometry) -> Float:
-    """Elevation at the nodes without a prior, (ny, nx), metres; NaN where no pair is valid."""
+    """Return the elevation at the nodes, (ny, nx), metres, by least squares over the matches alone.
+
+    It uses no learned spectrum. It is NaN where no pair is valid.
+    """
     blocks = combine(matches)
     if not blocks.valid.any():
         return np.full(geometry.grid.shape, np.nan, np.float32)

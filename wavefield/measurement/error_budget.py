@@ -63,7 +63,7 @@ SEEN_BY_BLOCKS = 0.11
 
 
 class WaveRings(NamedTuple):
-    """The waves of a record, as the learned spectrum shows them, in rings of wavenumber; fields (rings,)."""
+    """The waves of a record, from its learned spectrum, in rings (bins of wavenumber), each (rings,)."""
 
     k: Float  # rad/m
     variance: Float  # of z, m^2
@@ -77,9 +77,10 @@ def error_budget(
     frame_rate: float,
     times: Float = EVEN_TIMES,
 ) -> dict[str, Float]:
-    """Terms of the variance of z, dx, dy, dz in one step, by the names TERMS, each (4, ny, nx), m^2.
+    """Return the five terms of the variance of z, dx, dy, dz in one step, by name, each (4, ny, nx), m^2.
 
-    Times of the six frames are in intervals from mid-time; frame_rate is in Hz.
+    dx, dy, dz are the displacement of the water per step. The names are those of TERMS. `times` (6,) of the
+    frames are in frame intervals from mid-time; `frame_rate` is in Hz.
     """
     waves = detected_waves(record.elevation, geometry.pixel, frame_rate)
     return {
@@ -92,10 +93,11 @@ def error_budget(
 
 
 def noise(estimate: StepEstimate) -> Float:
-    """Variance due to noise: sum of F^2 A / (F^2 A + 1/S)^2 over the modes, propagated through the paths.
+    """Return the variance of z, dx, dy, dz due to noise of the images, (4, ny, nx), m^2.
 
-    If the displacements of N cameras disagree by more than this (chi^2 per degree of freedom above 1), the
-    variance of velocities is multiplied by (1 + (2N - 3) chi^2) / (2N - 2).
+    It is the noise part of the posterior variance (`PosteriorVariance`), propagated along the particles'
+    paths. If the displacements in the N cameras disagree by more than this (chi^2 per degree of freedom above
+    1), the variance of dx, dy, dz is multiplied by (1 + (2N - 3) chi^2) / (2N - 2).
     """
     motion, surfaces = estimate.motion, estimate.nearest
     z = np.mean([one.noise for one in surfaces], axis=0)
@@ -104,20 +106,23 @@ def noise(estimate: StepEstimate) -> Float:
 
 
 def removed_by_prior(estimate: StepEstimate) -> Float:
-    """Variance of suppressed waves: sum of 1/S / (F^2 A + 1/S)^2 over the modes, times the fraction of waves.
+    """Return the variance of z, dx, dy, dz of the waves that the prior suppresses, (4, ny, nx), m^2.
 
-    All cameras miss the same waves, so averaging over cameras does not reduce it. It is divided among u, v, w
-    as their variances in deep-water waves are.
+    It is the part of the posterior variance that is not noise (`PosteriorVariance`). All cameras miss the
+    same waves, so averaging over cameras does not reduce it. It is divided among dx, dy, dz in the
+    proportions of deep-water waves.
     """
     z = np.mean([one.missing for one in estimate.nearest], axis=0)
     return np.concatenate([z[None], estimate.motion.missing])
 
 
 def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int, times: Float) -> Float:
-    """Variance of waves that the frames do not follow: sum S |1 - K(p)|^2, for velocities times p^2.
+    """Return the variance of z, dx, dy, dz lost between the frames, (4, ny, nx), m^2.
 
-    p = omega dt is the phase of a wave per frame, and K the gain of interpolating z between 6, 4, 3 or 2
-    frames, or velocities between 6, 4 or 2.
+    It is the sum of S |1 - K(p)|^2 over the waves, for dx, dy, dz times p^2. S is the variance of a wave, p =
+    omega dt its phase per frame, and K the gain of interpolating z between 6, 4, 3 or 2 frames, or velocities
+    between 6, 4 or 2. `orbits` is added for dx, dy, dz, and `changed_waves` for all. `times` (6,) of the
+    frames are in frame intervals from mid-time.
     """
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     for count in np.unique(estimate.mid_time.frames).tolist():
@@ -131,11 +136,12 @@ def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int
 
 
 def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> float:
-    """Variance of z, m^2, due to waves that start or stop within the six frames.
+    """Return the variance of z, m^2, due to waves that start or stop within the six frames; 0 without any.
 
-    They make z from six frames differ from z from four. The expected square of this difference, from noise
-    and stationary waves, is noise sum (w6 - w4)^2 + sum S |K6 - K4|^2, with the weights w and gains K. If the
-    square exceeds CHANGE_DETECTED^2 times the expected one, CHANGE_RATIO^2 times the excess is returned.
+    Such waves make z from six frames differ from z from four. Noise and stationary waves alone give the mean
+    squared difference E = noise sum (w6 - w4)^2 + sum S |K6 - K4|^2, with w the weights of the frames, K the
+    gains for waves and S their variances. If the measured mean square exceeds 4 E, four times the excess is
+    returned. `times` (6,) of the frames are in frame intervals from mid-time.
     """
     six, four = (frame_weights(times, FRAMES_OF_Z[n])[0] for n in (6, 4))
     apart = np.exp(1j * np.outer(waves.phase, times)) @ (six - four)
@@ -145,9 +151,10 @@ def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> flo
 
 
 def lost_by_elevation(waves: WaveRings, frames: int, times: Float = EVEN_TIMES) -> float:
-    """Variance of z, m^2, lost by interpolation between frames: sum S |1 - sum w_t exp(i p t)|^2.
+    """Return the variance of z, m^2, lost by interpolation between `frames` (6, 4, 3 or 2) frames.
 
-    S is the variance of a wave, p its phase per frame, and w_t the weight of the frame at time t.
+    It is the sum over the waves of S |1 - sum w_t exp(i p t)|^2. S is the variance of a wave, p its phase per
+    frame, and w_t the weight of the frame at the time t, in frame intervals from mid-time.
     """
     weights, _ = frame_weights(times, FRAMES_OF_Z[frames])
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
@@ -155,10 +162,11 @@ def lost_by_elevation(waves: WaveRings, frames: int, times: Float = EVEN_TIMES) 
 
 
 def lost_by_paths(waves: WaveRings, path_frames: int, times: Float = EVEN_TIMES) -> float:
-    """Variance of the rise per step, m^2, lost by differences between frames, plus `orbits`.
+    """Return the variance of the surface's rise per step, m^2, lost by paths through a few frames.
 
-    The first part is sum S |i p - sum w_t exp(i p t)|^2, with S the variance of a wave, p its phase per
-    frame, and w_t the weight in the derivative of the frame at t frame intervals from mid-time.
+    It is the sum over the waves of S |i p - sum w_t exp(i p t)|^2, plus `orbits`. S is the variance of a
+    wave, p its phase per frame, and w_t the weight of the frame at the time t, in frame intervals from
+    mid-time, in the derivative. `path_frames` is the kind of path (`path_weights`).
     """
     _, weights = frame_weights(times, FRAMES_OF_Z[frames_of_path(path_frames)], path_frames == 6)
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
@@ -166,12 +174,13 @@ def lost_by_paths(waves: WaveRings, path_frames: int, times: Float = EVEN_TIMES)
 
 
 def orbits(waves: WaveRings, path_frames: int) -> float:
-    """Variance of the rise per step, m^2, lost because the orbits of waves i carry short waves j.
+    """Return the variance of the rise per step, m^2, lost because long waves i carry short waves j along.
 
-    A particle displaced by xi in its orbit has the velocity u + xi u', whose phase turns by the sum or
-    difference of both phases p per frame. K is the gain of path velocities and Q that of path positions; the
-    frames miss the part D = 1 - Q(p_i) of xi. The variance is c sum S_i S_j (k_j p_j)^2
-    ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) - K(p_i + p_j) - D)^2), with c = CORRELATION_OF_DIRECTIONS.
+    A particle that the orbit of a wave i displaces by xi has the velocity u + xi u', with u the velocity of a
+    wave j. The phase of the second term turns by the sum or difference of both phases p per frame. Paths have
+    the gain K for velocities and Q for positions, so they miss the part D = 1 - Q(p_i) of xi. The variance is
+    c sum S_i S_j (k_j p_j)^2 ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) - K(p_i + p_j) - D)^2). S and k are the
+    variance and the wavenumber of a wave, and c = 0.75 accounts for their directions.
     """
     p, gain = waves.phase, path_gain(waves.phase, path_frames)
     of_sum, of_difference = (path_gain(p[:, None] + one, path_frames) for one in (p, -p))
@@ -182,9 +191,10 @@ def orbits(waves: WaveRings, path_frames: int) -> float:
 
 
 def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRings:
-    """Waves in the learned spectrum of z that stand out from the noise; S k dk / (2 pi) is a ring's variance.
+    """Return the waves in the learned spectrum of z that stand out from the noise.
 
-    pixel is that of the rectified images, metres; frame_rate is in Hz.
+    Other rings of wavenumber have the variance 0. `elevation` is the learned prior of z; `pixel` is the side
+    of a rectified pixel, metres; `frame_rate` is in Hz.
     """
     k = np.array(elevation.k)
     detected = np.array(elevation.detected or [[True] * len(k)]).all(axis=0)
@@ -195,9 +205,11 @@ def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRin
 
 
 def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float, float]:
-    """Fraction of the variance of the rise that is aliased, and the wavelength of the longest such wave, m.
+    """Return which fraction of the rise's variance is aliased, and the longest aliased wavelength, metres.
 
-    A wave is aliased if its phase turns by more than pi from frame to frame.
+    The rise is that of the surface per frame. A wave is aliased if its phase turns by more than pi from frame
+    to frame. Both results are 0 without such waves. `elevation` is the learned prior of z; `pixel` is the
+    side of a rectified pixel, metres; `frame_rate` is in Hz.
     """
     waves = detected_waves(elevation, pixel, frame_rate)
     rise = waves.variance * np.square(waves.phase)
@@ -208,9 +220,9 @@ def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float
 
 
 def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
-    """The kind of paths, `path_frames`, with the smallest error of the velocity.
+    """Return the kind of path, 4, 6 or 7 (`path_weights`), with the smallest error of the velocity.
 
-    noise_variance is that of dx, dy and dz together, m^2.
+    `noise_variance` is the sum of the noise variances of dx, dy and dz, the displacement per step, m^2.
     """
 
     def error(code: int) -> float:
@@ -223,11 +235,11 @@ def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
 
 
 def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
-    """Variances (4,) of z, dx, dy, dz, m^2, due to ripples.
+    """Return the variances of z, dx, dy, dz due to ripples (waves shorter than blocks), (4,), m^2.
 
-    `learned` is the standard deviation of their rise per frame, and their wavelength, metres. Ripples with
-    variance a^2 of z and phase p per frame have a rise per frame of variance 2 a^2 (1 - cos p), with p
-    limited to pi/2, and a velocity of variance (a p)^2 per frame.
+    `learned` holds the standard deviation of the ripples' rise per frame, and their wavelength, metres. Let
+    a^2 be their variance of z and p their phase per frame. Their rise per frame then has the variance 2 a^2
+    (1 - cos p), with p limited to pi/2, and their vertical motion per frame (a p)^2.
     """
     rise, wavelength = learned
     if not rise:
@@ -238,9 +250,11 @@ def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
 
 
 def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
-    """Variance due to the calibration error of z, the thickness of a light sheet, and the tilt of beads.
+    """Return the variance of z, dx, dy, dz due to the setup, (4, ny, nx), m^2.
 
-    The calibration error along the sight lines is assumed to equal the smooth epipolar error.
+    For z it is the calibration error, or a quarter of the thickness of a light sheet, squared. The
+    calibration error is assumed to equal the smooth epipolar error. For dx and dy it comes from the tilt of
+    beads; for dz it is 0.
     """
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     out[0] = np.mean([one.epipolar**2 for one in estimate.nearest])
@@ -252,17 +266,22 @@ def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
 
 
 def bead_tilt(rise: Float, step: float, height: float) -> Float:
-    """Motion of beads relative to the water as the surface tilts, along x and y per step, (2, ny, nx), m.
+    """Return the motion of beads relative to the water as the surface tilts, (2, ny, nx), metres per step.
 
-    A point at `height` h above the surface, along its normal, moves by -h d(grad z)/dt more than the water.
-    rise (ny, nx) and the grid step are in metres.
+    The components are along x and y. A point at the height h above the surface, along its normal, moves by
+    -h d(grad z)/dt more than the water. `rise` (ny, nx) of the surface per step, the `step` of the grid and
+    `height` are in metres.
     """
     along_y, along_x = np.gradient(rise, step)
     return np.nan_to_num(-height * np.stack([along_x, along_y]))
 
 
 def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
-    """Standard uncertainty of z = 0, metres, common to all nodes and times; NaN without a learned record."""
+    """Return the standard uncertainty of the level z = 0, metres, which all nodes and times share.
+
+    It comes from the levelling of the rig if there was one; else it is the height of the beads, from the
+    settings or from their width. It is 0 for a light sheet, and NaN if nothing is known.
+    """
     levelled = geometry.rig.provenance.get("levelled")
     if geometry.settings.sheet_thickness is not None:
         return 0.0  # `stated_by_setup` contains it
@@ -285,14 +304,17 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
 
 
 def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry) -> tuple[float, float]:
-    """Variance of the rise per frame, m^2: shared by the blocks of two cameras, and of the blocks of one.
+    """Return two variances of the ripples' rise per frame, m^2: shared by two cameras, and in one camera.
 
-    Ripples whose rise has the variance c displace the blocks of cameras a and b with the covariance
-    J_a diag(1/2, 1/2, 1) J_b^T c, where J are the Jacobians on the surface z (ny, nx), metres. c is fitted to
-    the scores of two cameras (shared) and of the same camera (total). Each score is divided by the square
-    root of its Hessian's trace, so that all have the same noise. The pair of cameras that shares the smallest
-    fraction counts, because neighbouring cameras share changes of light as well. The shared variance may be
-    negative by chance; both are 0 if no two cameras measured enough blocks.
+    `found` holds the displacement of each camera, and z (ny, nx) the elevation, metres. Ripples whose rise
+    has the variance c displace the blocks of cameras a and b with the covariance J_a diag(1/2, 1/2, 1) J_b^T
+    c, with J the Jacobians of the images on the surface z. c is fitted to the scores of two cameras (the
+    first result), and to the scores of one camera (the second). Each score is divided by the square root of
+    its Hessian's trace, so that all scores have the same noise.
+
+    The results belong to the pair of cameras that shares the smallest fraction, because neighbouring cameras
+    also share changes of light. The first may be negative by chance. Both are 0 if no two cameras measured
+    enough nodes.
     """
     scores, waves = {}, {}
     for name, one in found.items():
@@ -319,14 +341,21 @@ def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeo
 
 
 def ripple_rise(shared: float, total: float) -> float:
-    """Standard deviation of the rise of ripples per frame, metres, of `shared_motion`; 0 without ripples."""
+    """Return the standard deviation of the ripples' rise per frame, metres; 0 if there are no ripples.
+
+    `shared` and `total` are the results of `shared_motion`. There are ripples if `shared` is more than 0.2
+    times `total`.
+    """
     return float(np.sqrt(shared / SEEN_BY_BLOCKS)) if shared > MIN_SHARED * total else 0.0
 
 
 def blocks_at(
     lattice: BlockLattice, x: Float, y: Float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-    """Column and row of the blocks nearest to x, y (n,), px, and whether these lie on the lattice."""
+    """Return column and row of the blocks nearest to x, y (n,), px, and a mask of points on the lattice.
+
+    All three are (n,). Points beyond the lattice get the nearest block at its edge.
+    """
     ny, nx = lattice.shape
     column, row = (np.rint((v - v0) / lattice.step) for v, v0 in ((x, lattice.x0), (y, lattice.y0)))
     inside = (column >= 0) & (column < nx) & (row >= 0) & (row < ny)
@@ -334,8 +363,8 @@ def blocks_at(
 
 
 def covariance(A: Float, B: Float) -> Float:
-    """Covariance (2, 2, n) of the scores of two cameras, for ripples whose rise has unit variance.
+    """Return the covariance (2, 2, n) of the scores of two cameras, for ripples whose rise has variance 1.
 
-    A and B (2, 3, n) are the derivatives of the scores with respect to the motion of the water.
+    A and B (2, 3, n) are the derivatives of both cameras' scores with respect to the motion of the water.
     """
     return np.asarray(np.einsum("ikn,k,jkn->ijn", A, WAVE_VARIANCES, B))

@@ -57,7 +57,7 @@ def bead_width(image: NDArray[Any]) -> float:
 
 
 def _skewness(part: NDArray[Any]) -> float:
-    """Skewness of the brightness of every fourth pixel."""
+    """Return the skewness of the brightness, from every second pixel along both axes."""
     some = part[::2, ::2]
     some = some[np.isfinite(some)].astype(np.float64)
     if not some.size:
@@ -67,7 +67,10 @@ def _skewness(part: NDArray[Any]) -> float:
 
 
 def above_floor(image: NDArray[Any], width: float) -> NDArray[Any]:
-    """Image (h, w) minus everything larger than three bead widths (a white top-hat); width is in px."""
+    """Return an image (h, w) without everything larger than about three bead widths (a white top-hat).
+
+    `width` is that of the beads, px. For a texture (width 0) the image itself is returned.
+    """
     if not width:
         return image
     side = int(np.ceil(MAX_SIZE_TO_WIDTH * width)) // 2 * 2 + 3
@@ -84,7 +87,10 @@ GREY_LEVELS_PER_E = 5000.0  # grey levels per factor e of brightness: 65535 leve
 
 
 def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
-    """Whether a frame has the size (width, height) of its camera, finite values and contrast."""
+    """Return whether a frame can be measured: a grey image of this size (width, height), with contrast.
+
+    A frame of floats is not usable if more than about half of its pixels are not finite.
+    """
     if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
         return False
     if image.dtype.kind not in "uif":
@@ -96,9 +102,11 @@ def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
 def ready(
     image: NDArray[Any], count: int, width: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """Remove the background of a usable frame, compress its brightness, and bin it by `count` pixels.
+    """Prepare a usable frame (h, w): remove its background, compress its brightness, and bin it.
 
-    `width` is that of its beads, px, measured if None. Pixels `covered` (h, w) by a mask do not count.
+    Binning averages squares of `count` x `count` pixels. `width` is that of the beads, px, measured if None;
+    for a texture (width 0) the background stays. `covered` (h, w) is True for masked pixels, which do not
+    count.
     """
     if covered is not None:
         image = fill_masked(image, covered)
@@ -125,10 +133,11 @@ def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
 def log_compress(
     image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """Compress the brightness I to 5000 log(1 + (I - B) / (0.5 (I_99 - B))), with the black level B.
+    """Compress the brightness I of an image to 5000 log(1 + (I - B) / (0.5 (I_99 - B))).
 
-    A bead that is bright in one camera only would bias the match; the logarithm turns factors of brightness
-    into constants. B is the 1 % quantile by default, I_99 the 99 % quantile.
+    B is the level `black`, by default the 1 % quantile of the brightness, and I_99 the 99 % quantile; pixels
+    below B become 0. A bead that is bright in one camera only would bias the match; the logarithm turns
+    factors of brightness into constants. `covered` (h, w) is True for pixels that the quantiles leave out.
     """
     low, _, high = _levels(image, covered)
     low = low if black is None else black
@@ -150,14 +159,18 @@ def log_compress(
 
 @compiled()
 def _table_value(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None:
-    """Look up every pixel of a 16-bit image in a table."""
+    """Write to `out` the table's value for every pixel of a 16-bit image."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             out[y, x] = table[image[y, x]]
 
 
 def _levels(image: NDArray[Any], covered: NDArray[np.bool_] | None = None) -> tuple[float, float, float]:
-    """Brightness at the 1, 50 and 99 % quantiles of a sample of the image; all equal for tiny images."""
+    """Return the 1, 50 and 99 % quantiles of the brightness, from every eighth pixel along both axes.
+
+    `covered` (h, w) is True for pixels that do not count. All three are 0 if no pixel is left, or if fewer
+    than about half of the pixels of floats are finite.
+    """
     sample = image[3::8, 3::8].ravel()
     if covered is not None:
         sample = sample[~covered[3::8, 3::8].ravel()]
@@ -183,7 +196,10 @@ Masks = Mapping[str, Pixels | None]
 
 
 def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
-    """Masks of one instant, prepared for matching; a mask that did not change is not prepared again."""
+    """Prepare the masks of one instant (True on pixels to ignore) for matching, by camera.
+
+    The result is also stored in `geometry`, so the same array is not prepared again at the next instant.
+    """
     out = {}
     for name in geometry.cameras:
         pixels = masks.get(name)
@@ -198,7 +214,7 @@ def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
 
 
 def _ready(pixels: Pixels, name: str, geometry: GridGeometry) -> Covered:
-    """Prepare the mask of one camera for matching in time and between cameras."""
+    """Prepare a mask (h, w), True on pixels to ignore, of the camera `name` for both kinds of matching."""
     w, h = geometry.sights[name].camera.size
     count = geometry.sights[name].binning
     good = np.where(pixels[: h * count, : w * count], np.uint8(0), np.uint8(255))
@@ -217,9 +233,11 @@ def masked_nodes(
     z: NDArray[Any],
     geometry: GridGeometry,
 ) -> Pixels:
-    """True for nodes (ny, nx) masked on the water or in too many cameras; z (ny, nx) is in metres.
+    """Return a mask (ny, nx), True for nodes that outlines on the water or masks of images cover.
 
-    A node is masked in too many cameras if no pair remains for z or fewer than two cameras for the velocity.
+    `covered` holds the masks of both frames by camera, `missing` the cameras without a frame, and z (ny, nx)
+    the elevation, metres. Masks of images count if they leave no pair of cameras for z, or fewer than two
+    cameras for the velocity.
     """
     hidden = {}
     for name in {*covered[0], *covered[1]}:
@@ -237,7 +255,10 @@ def masked_nodes(
 def prepare(
     image: NDArray[Any], camera: str, geometry: GridGeometry, mask: Mask | None = None
 ) -> matching.PreparedImage:
-    """Rectify a raw image and prepare it for matching."""
+    """Sharpen and rectify an image, binned as by `ready`, and prepare it for matching between cameras.
+
+    `mask` belongs to the rectified image; by default it excludes only what the camera does not see.
+    """
     view = geometry.views[camera]
     flat = widen(rectify(sharpened(image, BETWEEN_CAMERAS), *view.maps), *view.blur)
     return matching.prepare(flat, geometry.settings.stereo, mask=mask or view.mask)
@@ -259,7 +280,10 @@ class Images:
 def usable_frames(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks
 ) -> dict[str, NDArray[Any]]:
-    """The usable frames after `ready`; `beads` are the widths of beads per camera, raw px."""
+    """Return the usable frames, prepared by `ready`, by camera.
+
+    `beads` are the widths of the beads in each camera, raw px; `masks` are True on pixels to ignore.
+    """
     out: dict[str, NDArray[Any]] = {}
     for name in geometry.cameras:
         image = frames.get(name)
@@ -271,7 +295,10 @@ def usable_frames(
 def rectified_images(
     ready_frames: Mapping[str, NDArray[Any]], geometry: GridGeometry, covered: Mapping[str, Covered]
 ) -> dict[str, matching.PreparedImage]:
-    """Rectified images for matching between cameras; empty for a light sheet."""
+    """Rectify the frames from `usable_frames` and prepare them for matching between cameras.
+
+    `covered` holds prepared masks. The result is by camera; it is empty for a light sheet.
+    """
     if geometry.settings.sheet_thickness is not None:
         return {}
     return {
@@ -284,7 +311,10 @@ def rectified_images(
 def images_of(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks | None = None
 ) -> Images:
-    """Prepare the frames of one instant for matching; masks are True on pixels to ignore."""
+    """Prepare the frames of one instant, by camera, for matching between cameras and in time.
+
+    `beads` are the widths of the beads in each camera, raw px; `masks` are True on pixels to ignore.
+    """
     masks = masks or {}
     covered = covered_in(masks, geometry)
     ready_frames = usable_frames(frames, geometry, beads, masks)
@@ -298,7 +328,11 @@ def with_raw_images(
     geometry: GridGeometry,
     covered: Mapping[str, Covered],
 ) -> Images:
-    """Add the images for matching in time to the rectified images."""
+    """Return the images of one instant: the rectified ones, `flat`, and new ones for matching in time.
+
+    The images for matching in time are made from `ready_frames` (`usable_frames`); `covered` holds prepared
+    masks.
+    """
     raw = {
         name: matching.prepare(
             sharpened(ready_frames[name], IN_TIME),
