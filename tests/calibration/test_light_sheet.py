@@ -116,7 +116,7 @@ def test_of_two_cameras_a_motion_is_corrected_and_the_ambiguity_of_positions_is_
     assert f"may be shifted by some {1e3 * found.position_ambiguity:.1f} mm" in found.sentence
     printed = remark_on_rest(SimpleNamespace(settings={"sheet_thickness": 1e-3}), found.rig)
     assert printed.weight == "remark"
-    assert f"off by {1e3 * found.position_ambiguity:.1f} mm" in str(printed)
+    assert f"wrong by {1e3 * found.position_ambiguity:.1f} mm" in str(printed)
 
 
 def sheet_points(tank, x, y):
