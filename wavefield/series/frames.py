@@ -23,7 +23,7 @@ class CameraMask:
 
     shape: tuple[int, int]  # (rows, columns) of its images
     outlines: tuple[Outline, ...] = ()  # Closed outlines of corners (column, row), px; their inside is masked
-    images: tuple[FrameEntry, ...] = ()  # Images of the same size; pixels that are not black are masked
+    images: tuple[FrameEntry, ...] = ()  # Images of this shape, masked where not black
 
     def covered(self) -> NDArray[np.bool_]:
         """Return a mask (row, column), true at masked pixels; FrameError if a mask image is bad."""

@@ -39,12 +39,13 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
     Returns
     -------
     Dataset
-        The variables of `wavefield.variables`, attributes with the recipe. Steps not yet measured, and those
-        over frames that the run found lost, doubled or late (``frame_status`` 4), are NaN. The values are
-        those that ``xarray.open_zarr(path)`` gives. The names of the cameras and the response to waves
-        (``gain_z``, ...) are coordinates. Every field has ``path_frames`` and the stated depth of the water
-        as attributes, so that ``cube.w`` keeps them. The recipe, the rig, the response and the flags of
-        `quality` are read with ``cube.wavefield``.
+        The variables of `wavefield.variables`, and attributes with the recipe (all inputs of the cube). Steps
+        that are not yet measured are NaN, and so are steps at frames that the run found lost, doubled or late
+        (``frame_status`` 4). The values are those that ``xarray.open_zarr(path)`` gives. The names of the
+        cameras and the gain for waves (``gain_z``, ...) are coordinates. Every field has ``path_frames`` (how
+        velocities follow from frames) and the stated depth of the water as attributes, so that ``cube.w``
+        keeps them. The accessor ``cube.wavefield`` reads the recipe, the rig, the gain and the flags of
+        `quality`.
 
     Raises
     ------

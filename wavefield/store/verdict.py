@@ -28,7 +28,7 @@ _RANK = {"note": 0, "remark": 1, "grave": 2}
 class Remark:
     """One finding about a measurement."""
 
-    subject: str  # A camera, "probes", "record", ...: the remark is about it
+    subject: str  # What the remark is about: the name of a camera, "probes", "record", ...
     kind: str  # One word for scripts, such as "mirrored"
     weight: Weight  # note: for information; remark: to be considered; grave: results are not usable
     found: str  # What was found, with the number
@@ -55,7 +55,7 @@ class Verdict:
     """
 
     remarks: tuple[Remark, ...] = ()  # The gravest first
-    # By pair of cameras: agreement and eps_y at each of `frames`
+    # For each pair of cameras, its agreement and its eps_y (epipolar error) at each of `frames`
     pairs: Numbers = field(default_factory=dict)
     frames: tuple[int, ...] = ()  # Indices of frames in the record, from 0
 
@@ -77,7 +77,7 @@ class Verdict:
 
     @property
     def line(self) -> str:
-        """The verdict in one line: "sound", or "sound with remarks: cam1 focus"."""
+        """The verdict in one line, such as "sound" or "sound with remarks: cam1 focus"."""
         if self.weight == "note":
             return WORDS["note"]
         about = [f"{r.subject} {r.kind}" for r in self.remarks if r.weight != "note"]

@@ -57,8 +57,8 @@ class RawRecording:
 
     path: Path  # The file
     count: int  # Images in it
-    shape: tuple[int, int]  # (int, int): Rows and columns
-    start: Callable[[int], int]  # From the number of an image, from 0, to the byte where its pixels start
+    shape: tuple[int, int]  # Rows and columns
+    start: Callable[[int], int]  # Returns the byte at which the image at an index, from 0, begins
     # Reads an image, (row, column), from a file positioned at its pixels; `EOFError` where it ends before
     take: Callable[[Stream], Pixels]
     rate: float | None = None  # Images per second; None if the file does not tell
