@@ -32,9 +32,9 @@ class FlatSurface:
     Heights z are relative to the nodes' expected heights, so z is zero for a perfect rig.
     """
 
-    x: Array  # (n,): Metres
-    y: Array
-    z: Array
+    x: Array  # (n,): Position of each node, metres
+    y: Array  # (n,)
+    z: Array  # (n,)
     plane: WaterPlane  # The plane through these nodes
 
     @property

@@ -44,10 +44,10 @@ def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
 class ParameterLayout:
     """The meaning and the position of each entry of the fit's parameter vector x (p,)."""
 
-    names: tuple[str, ...]  # One per parameter
-    lens: tuple[tuple[tuple[int, str], ...], ...]  # Per camera: (position, lens parameter)
-    camera: tuple[int, ...]  # Per camera: position of the first of six, rotation vector and translation
-    pose: tuple[int | None, ...]  # Per pose: position of the first of the same six; None for a fixed pose
+    names: tuple[str, ...]  # Name of each parameter
+    lens: tuple[tuple[tuple[int, str], ...], ...]  # Per camera: (position in x, lens parameter)
+    camera: tuple[int, ...]  # Per camera: where its rotation vector and translation (6) start in x
+    pose: tuple[int | None, ...]  # Per pose: where its six parameters start in x; None for a fixed pose
 
     def pose_step(self, p: int, x: Array) -> Array:
         """Return the rotation vector and the translation (6,) by which x (p,) moves the pose of index p.
@@ -302,8 +302,8 @@ class Fit:
     """Result of `fit`, the joint fit of all cameras and poses."""
 
     geometry: Geometry  # Cameras, poses and node offsets
-    layout: ParameterLayout  # The parameters
-    covariance: Array  # (p, p): Of the parameters, scaled by the residuals
+    layout: ParameterLayout  # Meaning of the p parameters
+    covariance: Array  # (p, p): Covariance of the parameters, scaled by the residuals
     residual: Array  # (n, 2): Observed minus predicted pixels
     scale: float  # Robust standard deviation of the whitened residuals
     chi2: float  # Huber's loss of the whitened residuals

@@ -272,7 +272,7 @@ class _Pair:
     """Whether two cameras agree on the poses of the target, overall and for each pose."""
 
     consistent: bool  # Whether most of their common poses agree
-    good: Mapping[str, bool] = field(default_factory=dict)  # Whether each pose agrees
+    good: Mapping[str, bool] = field(default_factory=dict)  # By pose: whether the cameras agree on it
 
 
 def transforms_by_pose(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:

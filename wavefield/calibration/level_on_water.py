@@ -40,10 +40,12 @@ class Levelled:
 
     rig: Rig  # z = 0 on the mean surface, z up
     tilt: float  # Angle by which the z axis was turned, degrees
-    tilt_std: float  # Its standard uncertainty; NaN without a horizon if all instants show the same waves
-    height: float  # Of the first camera above the mean surface, metres
-    height_std: float  # Excludes the error of a stated distance; NaN if all instants show the same waves
-    rms: float  # Elevation of the points about the mean surface, metres
+    tilt_std: (
+        float  # Standard uncertainty of the tilt; NaN without a horizon if all instants show the same waves
+    )
+    height: float  # Height of the first camera above the mean surface, metres
+    height_std: float  # Without the error of a stated distance; NaN if all instants show the same waves
+    rms: float  # Rms elevation of the points about the mean surface, metres
     epipolar_error: float  # Median distance of the matches from their epipolar lines, px
     points: int  # Number of points used
     instants: int  # Number of instants used

@@ -195,12 +195,12 @@ class LightSheet:
     """Result of `find_sheet`: a rig with z = 0 in the light sheet, and the sheet's former position."""
 
     rig: Rig  # z = 0 in the middle of the sheet
-    height: float  # Of the sheet above the old z = 0, at the origin, metres
-    slope: tuple[float, float]  # Of the sheet in the old frame, along x and y
-    disparity_before: float  # Rms disparity, px
+    height: float  # Height of the sheet above the old z = 0 at the origin, metres
+    slope: tuple[float, float]  # Slope of the sheet in the old frame, along x and y
+    disparity_before: float  # Rms disparity before the correction, px
     disparity: float  # Rms disparity after the correction, px
     check: RigCheck  # Whether a camera had moved
-    windows: int  # Number of windows used
+    windows: int  # Number of windows with a disparity
     instants: int  # Number of instants used
     # Possible common shift of all positions in the sheet, metres. Two cameras do not show which of them has
     # moved, nor how far along their parallax. It is 0 if none has moved, or if a third camera shows which.

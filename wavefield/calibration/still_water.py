@@ -81,7 +81,7 @@ class Solution:
     """Cameras that best explain matched pixels, as `SightLineFit.solve` finds them."""
 
     x: Array  # (p,): Steps from the calibrated rig
-    misfit: float  # Robust distance by which sight lines miss, px
+    misfit: float  # Robust distance by which sight lines then miss each other, px
     chi2: float  # Huber's loss of the matches and of the prior
 
 
@@ -253,7 +253,7 @@ class RigCheck:
     """Result of `check_rig`: how far sight lines miss each other, and which camera has moved."""
 
     misfit: float  # Robust distance by which sight lines miss, px
-    expected: float  # The same after the best correction of the cameras, px
+    expected: float  # This distance after the best correction of the cameras, px
     moved: str | None  # The camera that has moved; None if none has, or if several explain the misfit
     faulty_cameras: tuple[str, ...]  # Cameras whose motion explains the misfit about equally well
     angle: float  # Angle by which the moved camera has turned, degrees

@@ -45,7 +45,7 @@ Images = Mapping[str, NDArray[Any] | None]  # image of each camera at one frame
 class Delay:
     """A delay of one camera behind another, or of an image row behind the row above."""
 
-    seconds: float  # Negative if earlier
+    seconds: float  # Delay, s; negative if earlier
     std: float  # Standard uncertainty, s
 
 
@@ -57,7 +57,7 @@ class Sample:
     velocity: Array  # (m,): Velocity of the beads across the parallax, px per frame
     design: Array  # (m, 3): Columns of the linear fit: 1, x and y, both scaled to -1 to 1
     speed: float = 0.0  # Mean horizontal speed of the beads, px per frame
-    rows: Array | None = None  # (m,): Image row in the second camera minus row in the first, from mid-image
+    rows: Array | None = None  # (m,): Row in the second image minus row in the first, each from mid-image
 
 
 class Synchrony(NamedTuple):
@@ -65,7 +65,7 @@ class Synchrony(NamedTuple):
 
     delays: dict[str, Delay]  # Delay of each camera relative to the median camera
     speed: float = 0.0  # Median speed of the beads, px/s
-    row_time: Delay | None = None  # Of a row behind the one above, beyond the given `row_time`
+    row_time: Delay | None = None  # Of a row behind the row above, minus the stated `row_time`
     rows: int = 0  # Rows of the largest image
 
 

@@ -59,7 +59,7 @@ class PatchMatcher:
     The patches of an image are made when they are first used, and then kept.
     """
 
-    read: Read  # Reads an image
+    read: Read  # Returns the image of a camera at a frame
     rig: Rig  # Calibrated cameras
     grid: Grid  # Area of the water that is compared
 

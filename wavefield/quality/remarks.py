@@ -56,9 +56,9 @@ def first_sentence(text: str) -> str:
 
 
 def remark_on_coverage(seen: float) -> Iterator[Remark]:
-    """Report a grid of which the cameras see less than half.
+    """Report a grid of which less than half is in view of every camera.
 
-    ``seen`` is the fraction of the grid's nodes that all cameras together see.
+    ``seen`` is the fraction of the grid that is in view of every camera.
     """
     if seen < HALF:
         yield Remark(

@@ -27,7 +27,7 @@ class Camera:
     Parameters
     ----------
     fx, fy : float
-        Focal lengths, px.
+        Focal lengths along the sensor's X and Y, px.
     cx, cy : float
         Principal point, where the optical axis meets the sensor, px.
     rotation : 3 x 3 nested sequence of float
@@ -160,7 +160,7 @@ class Camera:
     # -- physical frame <-> pixels --------------------------------------------------------------------
 
     def tangents(self, X: ArrayLike, Y: ArrayLike) -> tuple[Array, Array]:
-        """Remove the lens distortion: tangents of the viewing angles of pixels.
+        """Return the tangents of the viewing angles of pixels, without lens distortion.
 
         Parameters
         ----------
@@ -203,7 +203,7 @@ class Camera:
         return (r1 * x + r2 * y + r3 * z + tx) / zc, (r4 * x + r5 * y + r6 * z + ty) / zc, zc
 
     def unproject(self, X: ArrayLike, Y: ArrayLike, z: ArrayLike = 0.0) -> tuple[Array, Array]:
-        """Apparent positions of pixels: points where their sight lines meet the plane of height z.
+        """Return the points where the sight lines of pixels meet the horizontal plane of height z.
 
         Parameters
         ----------
@@ -228,7 +228,7 @@ class Camera:
             return c[0] + s * dx, c[1] + s * dy
 
     def sight_line(self, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0) -> tuple[Array, Array]:
-        """Horizontal displacement per height along the sight lines through physical points.
+        """Return the horizontal displacement per height along the sight lines through physical points.
 
         The sight line through (x, y, z) passes (x + Dx (h - z), y + Dy (h - z)) at height h. This is exact
         for straight rays, and equals the paper's ratio of derivatives of F and G with its signs corrected.
@@ -248,7 +248,7 @@ class Camera:
         return (np.asarray(x, float) - c[0]) / depth, (np.asarray(y, float) - c[1]) / depth
 
     def jacobian(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Array:
-        """Derivatives of the pixel coordinates with respect to the physical ones.
+        """Return the derivatives of pixel coordinates with respect to physical coordinates.
 
         Parameters
         ----------
@@ -285,7 +285,7 @@ class Camera:
         return out
 
     def corners(self, z: float = 0.0) -> Array:
-        """Apparent positions of the image's corners on the plane of height z.
+        """Return the points where the sight lines of the image's corners meet the plane of height z.
 
         Parameters
         ----------
@@ -296,7 +296,7 @@ class Camera:
         -------
         ndarray, (4, 2)
             (x, y), metres, of the image's upper left, upper right, lower right and lower left corner; NaN
-            above the horizon.
+            for a corner above the horizon.
         """
         w, h = self.size
         X = np.array([-0.5, w - 0.5, w - 0.5, -0.5])
@@ -304,7 +304,7 @@ class Camera:
         return np.stack(self.unproject(X, Y, z), axis=-1)
 
     def sees(self, x: ArrayLike, y: ArrayLike, z: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Whether the camera sees points, with a margin to the edge of the image.
+        """Return whether the camera sees points, with a margin to the edge of the image.
 
         Parameters
         ----------
@@ -398,7 +398,7 @@ class Camera:
         return cls(fx, fy, cx, cy, R, tvec, size, skew=skew, **_terms_of_opencv(D))
 
     def scaled(self, factor: float) -> "Camera":
-        """The same camera with resampled images.
+        """Return the camera that would have taken the same images resampled to another size.
 
         Parameters
         ----------

@@ -22,7 +22,7 @@ def common_field(
     height: float | tuple[float, float] | None = None,
     margin: float = 16.0,
 ) -> Grid:
-    """Grid on the largest rectangle of the water, with sides along x and y, that every camera sees.
+    """Make a grid on the largest rectangle of the water that every camera sees.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def common_field(
     Returns
     -------
     Grid
-        Nodes at whole multiples of the step.
+        Nodes at whole multiples of the step, in a rectangle with sides along x and y.
 
     Raises
     ------

@@ -95,7 +95,7 @@ class Rig:
         return html_table(f"Rig of {len(self)} cameras", head, rows)
 
     def moved(self, axes: ArrayLike, origin: ArrayLike, **provenance: object) -> "Rig":
-        """Re-express the rig in another physical frame.
+        """Return the rig in another physical frame.
 
         Parameters
         ----------
@@ -127,7 +127,7 @@ class Rig:
             File to write; its folder is created. An existing rig is replaced only if it was saved with the
             same source and has not been edited.
         source : str, optional
-            Identity of the inputs of the rig (`wavefield.atomic_write.identity_of`).
+            Text that identifies the inputs of the rig (`wavefield.atomic_write.identity_of`).
 
         Raises
         ------

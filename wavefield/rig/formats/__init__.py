@@ -48,7 +48,7 @@ def load_rig(
     names: Sequence[str] | None = None,
     unit: str | None = None,
 ) -> Rig:
-    """Read a rig in any supported format, which is recognised by the file's content.
+    """Read a rig from a file of any supported program; the content of the file shows which.
 
     Parameters
     ----------
