@@ -156,7 +156,11 @@ def run(
 
 
 def _after(found: Status, measured_now: bool = False) -> str:
-    """Return the name of the command that usually follows a run; a light sheet has no waves to analyse."""
+    """Return the name of the command that usually follows a run, such as "analyze".
+
+    For a light sheet it is never "analyze". `measured_now` tells that the run has just ended, so that later
+    results, if there are any, are out of date.
+    """
     sheet = found.verdict and any(one.kind == "light sheet" for one in found.verdict.remarks)
     if measured_now:
         return "report" if sheet else "analyze"

@@ -38,7 +38,7 @@ def announce(url: str, port: int) -> None:
 
 
 def lower_priority(steps_to_come: int) -> None:
-    """Give this process the lowest priority if the cube is unfinished, for the sake of a run on this machine.
+    """Give this process the lowest priority if the cube is unfinished, so that it does not slow the run.
 
     `steps_to_come` is the number of steps that are not measured yet.
     """

@@ -69,7 +69,10 @@ STORE = click.argument("store", metavar=CUBE, type=PATH, callback=lambda _, __, 
 
 
 def frames_option(default: int, words: str, least: int = 1) -> Callable[[Command], Command]:
-    """Return the option `--frames`, a number of frames of at least `least`; `words` are its help text."""
+    """Return the click option `--frames`, a number of frames.
+
+    It is at least `least`, and `default` if the user does not give it. `words` is the help text.
+    """
     count = click.IntRange(min=least)
     return click.option("--frames", default=default, show_default=True, type=count, help=words)
 

@@ -27,7 +27,10 @@ _VARIABLES = ("z", "w", "u", "v", "z_t", "eps_y", "eps_piv", "z_std")
 
 
 def lights_table(lights: tuple[StatusLight, ...]) -> str:
-    """Return status lights as HTML: a table of quantities by cameras, then lights of pairs and of the rig."""
+    """Return status lights as HTML.
+
+    A table holds the lights of single cameras; the lights of pairs of cameras and of the rig are below it.
+    """
     of_cameras = [light for light in lights if light.camera and "-" not in light.camera]
     cameras = list(dict.fromkeys(light.camera for light in of_cameras))
     cells = {(light.name, light.camera): light for light in of_cameras}

@@ -27,9 +27,10 @@ _ORDER = ("arrival", "synchronisation", "brightness", "saturation", "seeding", "
 
 @dataclass(frozen=True)
 class LightLimits:
-    """Limits of the status lights: a quantity is doubtful beyond the first limit and bad beyond the second.
+    """Limits of the status lights.
 
-    If the second limit is smaller than the first, "beyond" means below.
+    A quantity is doubtful beyond the first limit and bad beyond the second. If the second limit is
+    smaller than the first, "beyond" means below.
     """
 
     saturated: Limits = (0.01, 0.05)  # fraction of pixels
@@ -269,7 +270,11 @@ def _ratio(value: float, reference: float) -> float:
 
 
 def _state(value: float, limits: Limits) -> State:
-    """Return the state of a value by limits (doubtful, bad); small values are bad if these decrease."""
+    """Return whether a value is good, doubtful or bad.
+
+    `limits` are those of the states doubtful and bad. Small values are bad if the second limit is below the
+    first.
+    """
     doubtful, bad = limits
     if bad < doubtful:
         value, doubtful, bad = -value, -doubtful, -bad

@@ -166,7 +166,10 @@ class LiveMeasurement:
         return fields, lights.summarize_step(fields, geometry.z_range)
 
     def pairs(self, frames: FrameSet) -> dict[str, PairSummary]:
-        """Return how well cameras agree at the second frame, by pair such as "a-b"; empty without a rig."""
+        """Return how well the cameras of each pair agree at the second frame, by pair such as "a-b".
+
+        The result is empty without a rig.
+        """
         if self.learner is None:
             return {}
         geometry = self.learner.geometry
@@ -317,7 +320,7 @@ class Follower:
                 self._stop.wait(POLL_S)
 
     def poll(self) -> bool:
-        """List the folders once and measure the newest frames; return whether there were new frames."""
+        """List the image folders once and measure the newest frames; return whether there were new ones."""
         self.watch.poll()
         frames = self.watch.newest_set(after=self.latest.number if self.latest else -1)
         if frames is not None:

@@ -46,7 +46,7 @@ def top_speed(u: Field, v: Field) -> float:
 
 
 def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Field, Field, float]:
-    """Return lines x, y (7 n,), metres, that draw n velocity arrows, and their length per speed, m per m/s.
+    """Return lines x, y (7 n,), metres, that draw n velocity arrows, and their scale, m per m/s.
 
     u, v (ny, nx) are in m/s, at the nodes x (nx,) and y (ny,), metres. Each arrow has six points and a NaN
     after them. An arrow of the speed `fastest`, m/s, is a little longer than the distance between arrows.

@@ -50,7 +50,7 @@ def longest_run(values: Array) -> Array:
 
 
 def spectrum(values: Array, dt: float, segment_s: float | None = None) -> Spectrum | None:
-    """Return the Welch spectrum of the `longest_run` of a series (n,), or None if it is below 32 steps long.
+    """Return the Welch spectrum of the `longest_run` of a series (n,), or None if it has under 32 steps.
 
     `dt` is the time step, s. The segments overlap by half, under Hann windows, and last `segment_s`, s. By
     default they have a power of two of steps, from 32 to 1024, so that a long run has at least eight of them.

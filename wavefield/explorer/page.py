@@ -232,7 +232,10 @@ class LookPage:
         self.change(**changed)
 
     def _clicked(self, x: float, y: float) -> None:
-        """Take a click on the map at x, y, metres, as a corner of a mask, or else pick the node there."""
+        """Handle a click on the map at x, y, metres.
+
+        The point becomes a corner of a mask if the user is drawing masks; else the node there is picked.
+        """
         from wavefield.series.masks import WATER
 
         if not self._take_corner(WATER, x, y):
@@ -331,14 +334,14 @@ class LookPage:
         self.map.layout.title.text = f"{what}, t = {record.time[place.step]:.3f} s{status}"
 
     def _show_view(self) -> None:
-        """Draw the tab of `TABS` that is open; the tab of the map is left to `_show_map`."""
+        """Draw the open one of the tabs `TABS`, except for the map, which `_show_map` draws."""
         if self.place.tab in self._views:
             self._views[self.place.tab]().show(self.place)
             self._show_corners()
         self.link.text = self.place.query()
 
     def _show_picked(self) -> None:
-        """Draw the tab of `PICKED` that is open."""
+        """Draw the open one of the tabs `PICKED`, on the picked node and on masks."""
         kind = PICKED[int(self.picked.active)]
         panel: Panel = self.node if kind == "node" else self.masks()
         panel.show(self.place)

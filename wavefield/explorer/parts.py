@@ -390,12 +390,12 @@ def palette(colour_map: str) -> list[str]:
 
 
 def quality_mapper() -> LinearColorMapper:
-    """Return the colour mapper of the index into `KINDS`, the kind of quality of a node."""
+    """Return the Bokeh colour mapper for the kind of quality of a node, which is an index into `KINDS`."""
     return LinearColorMapper(palette=[colour for _, _, colour in KINDS], low=-0.5, high=len(KINDS) - 0.5)
 
 
 def grey_mapper() -> LinearColorMapper:
-    """Return the colour mapper of grey levels from 0 to 255."""
+    """Return a Bokeh colour mapper for grey levels from 0 to 255."""
     return LinearColorMapper(palette=[f"#{k:02x}{k:02x}{k:02x}" for k in range(256)], low=0, high=255)
 
 
@@ -426,7 +426,7 @@ def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
 
 
 def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
-    """Return x and each series (n,), thinned to the same m samples, so that crests and troughs stay visible.
+    """Return x and the series (n,), thinned to the same m samples so that crests and troughs stay visible.
 
     In each bin of successive samples, the two are kept at which the first series is lowest and highest.
     Series of at most `MOST_POINTS` samples are returned unchanged.

@@ -106,7 +106,11 @@ def _figures(
 
 
 def _parameters(calibration: Calibration, observations: Observations, fit: Fit) -> dict[str, Any]:
-    """Return the lens and pose of each camera as [value, standard uncertainty], by camera and parameter."""
+    """Return the lens and pose of each camera with standard uncertainties, by camera and parameter.
+
+    A lens parameter is a list of its value and its uncertainty. The translation, and the uncertainties of
+    rotation and translation, are lists of three numbers.
+    """
     std, covariance = np.sqrt(np.diag(fit.covariance)), fit.covariance
     out: dict[str, Any] = {}
     for c, name in enumerate(observations.cameras):

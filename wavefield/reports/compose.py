@@ -68,7 +68,7 @@ def page_of(cube: str | Path, kind: str) -> Path:
 
 
 def measured_run(store: str | Path) -> Run:
-    """Return the run of a cube; raise StoreError if the run has finished no step yet."""
+    """Return the run that writes or wrote a cube; raise StoreError if it has finished no step yet."""
     run = open_run(store)
     if not (run.cube.frame_status.values > 0).any():
         raise StoreError(f"{store} has no measured step yet; run `wavefield run` first")

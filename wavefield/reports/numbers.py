@@ -38,7 +38,7 @@ def number(value: float, unit: str = "", digits: int = 3) -> str:
 
 
 def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> str:
-    """Return a variable of a wave store's group, times a factor, as the text "value ± standard uncertainty".
+    """Return a variable of a wave store's group, times `factor`, as text: value ± standard uncertainty.
 
     The text is empty if the group, the variable or its uncertainty `name_std` is missing or not finite.
 

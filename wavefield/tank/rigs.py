@@ -63,11 +63,12 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
 
 
 def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: tuple[int, int]) -> Rig:
-    """Return exact cameras around a light sheet: `cam1` and `cam2` on both sides, a vertical `cam3` if three.
+    """Return exact cameras around a light sheet: `cam1` and `cam2` on both sides, and a vertical `cam3`.
 
-    `angle` is the angle between the vertical and the axes of cam1 and cam2, degrees. The sensors of these two
-    cameras are tilted (Scheimpflug). `distance` is that from each camera to the sheet, and `pixel` the size
-    of a pixel on the sheet, both in metres. `size` is width and height of the images, px.
+    `cameras` is their number; with 2 there is no `cam3`. `angle` is the angle between the vertical and
+    the axes of cam1 and cam2, degrees. The sensors of these two cameras are tilted (Scheimpflug).
+    `distance` is that from each camera to the sheet, and `pixel` the size of a pixel on the sheet, both
+    in metres. `size` is width and height of the images, px.
     """
     made = {}
     for name, side, roll, k1 in (("cam1", -1, 0.4, -0.04), ("cam2", 1, -0.5, -0.03), ("cam3", 0, 0.3, 0.03)):
@@ -120,10 +121,10 @@ def _camera(
 
 
 def _orientation(axis: Array, roll: float) -> Array:
-    """Return the rotation matrix (3, 3), from rig to camera axes, of a camera that looks along `axis`, (3,).
+    """Return the rotation matrix (3, 3), from rig to camera axes, of a camera that looks along `axis`.
 
-    `axis` is a unit vector in the axes of the rig. Before the camera is turned about it by `roll`, rad, the
-    rows of its image run towards -y.
+    `axis` (3,) is a unit vector in the axes of the rig. Before the camera is turned about it by `roll`,
+    rad, the rows of its image run towards -y.
     """
     down = np.array([0.0, -1.0, 0.0])
     right = np.cross(down, axis)

@@ -40,7 +40,10 @@ class SceneRecord(Part):
     start: float = Field(default=0.0, description="time of the sea at the first frame, s")
 
     def time(self, frame: float) -> float:
-        """Return the time of the sea, s, at a frame counted from 0, without jitter; 0.5 is a valid frame."""
+        """Return the simulated time, s, of a frame counted from 0, without the clock's jitter.
+
+        The frame need not be an integer.
+        """
         return self.start + frame / self.frame_rate
 
 
@@ -108,7 +111,7 @@ class Spots(Part):
     )
 
     def draw_brightness(self, cameras: int, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Draw the relative brightness of each bead in each camera, (cameras, count)."""
+        """Return random values of the relative brightness of each bead in each camera, (cameras, count)."""
         # gamma distribution: most beads are similar, a few bright, none negative
         own = rng.gamma(self.spread**-2, self.spread**2, count) if self.spread else np.ones(count)
         return own * np.exp(rng.normal(0.0, self.spread_between, (cameras, count)))

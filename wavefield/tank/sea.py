@@ -177,7 +177,10 @@ class Sea:
 
     @property
     def axes(self) -> tuple[Array, Array]:
-        """Wavenumbers along x (nkx,), none negative, and along y (nky,) of all waves of the sea, rad/m."""
+        """All wavenumbers that the waves of the sea have along x (nkx,) and along y (nky,), rad/m.
+
+        Those along x are not negative: a wave with kx < 0 is stored as its complex conjugate at -k.
+        """
         return self._layout.kx, self._layout.ky
 
     @property
@@ -268,7 +271,10 @@ class Sea:
         return {name: values.reshape(shape) for name, values in self._finish(out, names).items()}
 
     def _finish(self, out: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
-        """Return the fields `names` from sums over waves: add the current, and w = z_t + u z_x + v z_y."""
+        """Add the current to the sums over waves `out`, and return the fields `names`.
+
+        If w is among them it is computed as z_t + u z_x + v z_y.
+        """
         for name, speed in zip(("u", "v"), self.current, strict=True):
             if name in out and speed:
                 out[name] = out[name] + speed
@@ -317,7 +323,10 @@ class _WaveLayout:
         self._flat = self._row * self.kx.size + self._column
 
     def place(self, values: Complex) -> Complex:
-        """Return the matrix (nky, nkx) with the amplitudes (n,) of the waves; equal wave vectors add up."""
+        """Return the complex amplitudes (n,) of the waves as a matrix (nky, nkx).
+
+        Waves with equal wave vectors are added.
+        """
         values = np.where(self._mirror, values.conj(), values)
         size = self.ky.size * self.kx.size
         real = np.bincount(self._flat, values.real, size)
@@ -333,13 +342,13 @@ REMEMBERED_FRAMES = 8  # states kept in memory, because images of several frames
 
 
 def _kernel(r: Array) -> Array:
-    """Return the interpolation kernel, of the shape of r, at a distance of r lattice steps."""
+    """Return the interpolation kernel of `Basin` at a distance of r lattice steps, in the shape of r."""
     s = 2.0 * r / KERNEL_WIDTH
     return np.exp(KERNEL_BETA * (np.sqrt(np.maximum(1.0 - s * s, 0.0)) - 1.0)) * (np.abs(s) < 1)
 
 
 def _transform(phase: Array) -> Array:
-    """Return the Fourier transform of the kernel, (n,), at wavenumbers (n,) in rad per lattice step."""
+    """Return the Fourier transform (n,) of `_kernel` at wavenumbers (n,) in rad per lattice step."""
     nodes, weights = np.polynomial.legendre.leggauss(60)
     r = nodes * KERNEL_WIDTH / 2
     return np.cos(np.outer(phase, r)) @ (weights * _kernel(r)) * KERNEL_WIDTH / 2

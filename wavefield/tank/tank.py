@@ -66,7 +66,10 @@ class Tank:
 
     @cached_property
     def population(self) -> Population | Particles:
-        """The beads of the scene, or the particles of its light sheet; ValueError for other surfaces."""
+        """The beads of the scene, or the particles of its light sheet.
+
+        Raises ValueError if the surface of the scene is painted or the open sea.
+        """
         if isinstance(self.scene.surface, Sheet):
             return Particles(self.scene, self.scene.surface, self.x, self.y, len(self.rig))
         return Population(self.scene, self.basin, self.x, self.y, len(self.rig))
@@ -128,7 +131,7 @@ class Tank:
         return max(frame - self.scene.faults.get(name, _NO_FAULT).late, 0)
 
     def _beads(self, beads: BeadField, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
-        """Return the light of beads on the pixels of a camera, (row, column), in grey levels of 255."""
+        """Return the light of beads on the camera `name`, (row, column), in grey levels of 255."""
         assert not isinstance(self.scene.surface, (Texture, SeaSurface))
         camera = _shifted(self.rig[name], fault.shift)
         if any(fault.turned) and frame >= fault.since:
@@ -174,7 +177,7 @@ class Tank:
         return texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed)
 
     def _painted(self, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
-        """Return the light of a painted surface on a camera's pixels, (row, column), grey levels of 255."""
+        """Return the light of painted water on the camera `name`, (row, column), in grey levels of 255."""
         settings = self.scene.surface
         assert isinstance(settings, Texture)
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
@@ -190,7 +193,10 @@ class Tank:
 
     @cached_property
     def _sea_paints(self) -> tuple[tuple[texture.Paint, ...], ...]:
-        """Textures of ripples and of coarser foam; each is the sum of two, with grains of two sizes."""
+        """Two textures of ripples, and two coarser ones of foam.
+
+        The two of a pair have grains of different sizes, and are added.
+        """
         settings = self.scene.surface
         assert isinstance(settings, SeaSurface)
 
@@ -201,7 +207,7 @@ class Tank:
         return tuple((paint(kind, 0), paint(kind, 1)) for kind in range(2))
 
     def _open_sea(self, frame: int, name: str, settings: SeaSurface) -> NDArray[np.float32]:
-        """Return the light of sea and sky on the pixels of a camera, (row, column), in grey levels of 255."""
+        """Return the light of sea and sky on the camera `name`, (row, column), in grey levels of 255."""
         camera = self.rig[name]
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
         seen = texture.visible_water(camera, snapshot, self.sea.reach)
@@ -261,7 +267,7 @@ class Tank:
         return targets.node_offsets(target, self.scene.seed) if isinstance(target, Strings) else None
 
     def target_image(self, name: str, camera: str) -> GreyImage:
-        """Return the image (row, column) by `camera` of the target in the pose `name` of `target_poses`."""
+        """Return the image (row, column) by `camera` of the target in the pose `target_poses[name]`."""
         target, pose = self.scene.calibration.target, self.target_poses[name]
         light = targets.draw(self.rig[camera], target, pose, self.scene.light.blur, self.target_offsets)
         return self._expose(light, camera, -1 - list(self.target_poses).index(name))
@@ -289,6 +295,6 @@ def _shifted(camera: Camera, shift: tuple[float, float]) -> Camera:
 
 
 def _turned(camera: Camera, degrees: tuple[float, float, float]) -> Camera:
-    """Return a camera turned about its centre; `degrees` is the rotation vector in its own axes."""
+    """Return a camera turned about its centre by a rotation vector in the axes of the camera, degrees."""
     turn = cv2.Rodrigues(np.radians(degrees))[0]
     return replace(camera, rotation=turn @ camera.R, translation=turn @ camera.T)

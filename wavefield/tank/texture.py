@@ -145,7 +145,10 @@ def sea_image(camera: Camera, seen: VisibleWater, settings: SeaSurface, foam: Im
 
 
 def _radiance(upward: Array) -> Array:
-    """Return the sky's radiance over that at the horizon; `upward` is the sine of the elevation angle."""
+    """Return the radiance of the sky relative to the radiance at the horizon.
+
+    `upward` is the sine of the angle above the horizon.
+    """
     out: Array = 0.45 + 0.55 * (1.0 - np.clip(upward, 0.0, 1.0)) ** 3
     return out
 
@@ -153,7 +156,7 @@ def _radiance(upward: Array) -> Array:
 def texture_at(
     seen: VisibleWater, drift: Sequence[RectBivariateSpline], paints: Sequence[Paint], far: float
 ) -> Image:
-    """Return the sum of the textures `paints`, moved with the water and averaged over pixels, (row, column).
+    """Return the sum of the textures `paints`, moved with the water, as means over pixels (row, column).
 
     `drift` holds two functions of (y, x): the position of the water at the first frame minus its present
     position, along x and along y, m. The textures fade to zero towards the distance `far`, m, at which the

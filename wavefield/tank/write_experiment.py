@@ -97,7 +97,7 @@ def simulate(
 
 
 def _drawings(tank: Tank, directory: Path) -> Iterator[tuple[Path, Drawing]]:
-    """Yield the path of each image below `directory`, and the function that draws it when it is called."""
+    """Yield for each image its path below `directory`, and a function without arguments that draws it."""
     for pose in tank.target_poses:
         for camera in tank.rig:
             yield directory / "calib" / camera / f"{pose}.tif", partial(tank.target_image, pose, camera)
