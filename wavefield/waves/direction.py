@@ -38,7 +38,7 @@ RIDGE_CORRELATION = 1.6
 
 
 def segments_of(dof: float) -> float:
-    """Number of segments, overlapping by half, that give a spectrum this many degrees of freedom."""
+    """Return the number of half-overlapping segments that give a spectrum `dof` degrees of freedom."""
     return max(19 * dof / 36, 1.0)
 
 
@@ -298,7 +298,7 @@ def resolved_frequencies(density: xr.DataArray, depth: float, gamma: float) -> A
 
 
 def _largest_k(density: xr.DataArray) -> float:
-    """Largest wavenumber, rad/m, that the grid samples in all directions."""
+    """Return the largest wavenumber, rad/m, that the grid of a spectrum samples in all directions."""
     return float(min(density["kx"].max(), density["ky"].max()))
 
 

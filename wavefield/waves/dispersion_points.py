@@ -36,7 +36,7 @@ class WavenumberPlane:
     k: Array  # modulus
     angle: Array  # of k, counted from the x axis, rad
     cell: float  # larger side of a cell, rad/m
-    spread: float  # variance of k by which the window broadens a single wave, (rad/m)^2
+    spread: float  # variance in k of a single wave under the Hann window, (rad/m)^2
     nyquist: float  # smaller Nyquist wavenumber of the two axes, rad/m
     axes: tuple[Array, Array]  # ky and kx of the grid
 
@@ -56,13 +56,13 @@ class WavenumberPlane:
 
 @dataclass(frozen=True)
 class PlaneSpectrum:
-    """Energy and noise of a spectrum, by line and cell of the k plane."""
+    """Energy and noise of a spectrum at each line (frequency) and cell of the k plane."""
 
     omega: Array  # (lines,), rad/s
     energy: Array  # (lines, cells)
     noise: Array  # (lines, cells)
     plane: WavenumberPlane
-    water: Water
+    water: Water  # depth, m, and surface tension over density, m3 s-2
 
     @classmethod
     def of(cls, density: xr.DataArray, water: Water) -> "PlaneSpectrum":
@@ -286,13 +286,13 @@ class RelationPoints:
         return RelationPoints(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def along(self, current: Array) -> Array:
-        """Component of the current along the wave vector, (points,), m/s."""
+        """Return the component of a current (2,) along the wave vector of each point, (points,), m/s."""
         return np.asarray(current[0] * np.cos(self.angle) + current[1] * np.sin(self.angle))
 
 
 @dataclass(frozen=True)
 class Sector:
-    """Cells of the k plane near one direction, sorted by k."""
+    """Cells of the k plane in one sector of direction, sorted by k; arrays are (cells,)."""
 
     theta: float  # direction of its middle, rad
     cells: Array  # their indices in the plane

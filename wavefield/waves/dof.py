@@ -86,8 +86,8 @@ ROUNDS = 4  # of deconvolution; tuned on random seas: with one, intervals of E(o
 def expected_segment_correlation(power: Array, count: int) -> Array:
     """Return the variance of a mean over segments relative to independent segments, (n, lines).
 
-    It follows from n spectra, `power` (n, lines), and the number K = `count` of half-overlapping segments: 1
-    + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, where S is the
+    It follows from n spectra, `power` (n, lines), and the number K = `count` of half-overlapping segments:
+    1 + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, where S is the
     deconvolved spectrum, W^2 the power of the Hann window about a line, and T the length of a segment.
     """
     lines = np.arange(power.shape[1])
@@ -99,7 +99,7 @@ def expected_segment_correlation(power: Array, count: int) -> Array:
         return np.asarray(ndimage.convolve1d(spectrum, response, axis=1, mode="constant"))
 
     def spread(ratio: Array) -> Array:
-        """Mean of a ratio over the lines that a wave contributes to."""
+        """Weighted sum of a ratio over the lines to which a wave contributes, at each frequency of `fine`."""
         between_lines = np.zeros((len(ratio), fine.size))
         between_lines[:, ::between] = ratio
         return windowed(between_lines)
@@ -141,10 +141,10 @@ def hann_autocorrelation(lag: Array) -> Array:
 def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
     """Return the variance of a mean over segments relative to independent segments, for wave packets.
 
-    The packets move at `velocity`, the arrays v_x and v_y, m/s, and the result has their shape. It is 1 + 2
-    sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2, with K = `count` segments of the `duration` T, s. Here c(t) = int
-    a(s / T) a(v_x (t - s) / L_x) a(v_y (t - s) / L_y) ds, with the autocorrelation a of the Hann window and
-    the `lengths` L_x, L_y of the field, m. So a packet counts while it is inside the windows.
+    The packets move at `velocity`, the arrays v_x and v_y, m/s, and the result has their shape. It is
+    1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2, with K = `count` segments of the `duration` T, s. Here
+    c(t) = int a(s / T) a(v_x (t - s) / L_x) a(v_y (t - s) / L_y) ds, with the autocorrelation a of the Hann
+    window and the `lengths` L_x, L_y of the field, m. So a packet counts while it is inside the windows.
     """
     s = np.linspace(-1, 1, LAGS)
     in_time = hann_autocorrelation(s)

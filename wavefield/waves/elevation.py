@@ -51,10 +51,12 @@ _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m: waves of 6 km to 1.6 mm
 
 
 def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
-    """Frequency omega - k . U in the frame of the water, limited to 0.5 to 1.5 times that of free waves.
+    """Return the frequency omega - k . U in the frame of the water, limited in modulus, rad/s.
 
-    The limits keep it away from zero, where w cannot be integrated. All frequencies are in rad/s: omega, the
-    Doppler shift k . U, and the frequency sigma of free waves.
+    The limits are 0.5 times the frequency `sigma` of free waves, and 1.5 times sigma (at most the Nyquist
+    frequency); they are widened to include omega itself. They keep the result away from zero, where
+    w cannot be integrated. `doppler_shift` is k . U. All frequencies are in rad/s, and `dt`, s, is the time
+    between frames.
 
     Examples
     --------
@@ -69,7 +71,7 @@ def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: fl
 
 @dataclass(frozen=True)
 class SpectraOnCurrent:
-    """Spectra over (omega, ky, kx) and the current of the water."""
+    """Spectrum of w, cross spectrum of z with w, and the current of the water."""
 
     current: tuple[float, float]  # along x and y, m/s
     w: xr.DataArray  # (omega, ky, kx): spectrum of w
@@ -77,8 +79,11 @@ class SpectraOnCurrent:
     zw: xr.DataArray
 
     def elevations(self, water: Water, dt: float, frames: int) -> tuple[Array, Array, Array]:
-        """Integrals over the direction of k, each (omega, k): the elevation spectrum from w, the cross
-        spectrum of that elevation with z, and the noise of displacements relative to that of the elevation.
+        """Return three results over (omega, k), integrated or averaged over the direction of k.
+
+        They are the elevation spectrum from w, the cross spectrum of this elevation with z, and the noise
+        spectrum of w dt divided by the noise of the elevation from w. `dt`, s, is the time between frames,
+        and `frames` the number of frames per velocity.
         """
         ky, kx = np.meshgrid(self.w["ky"].values, self.w["kx"].values, indexing="ij")
         sigma = dispersion(np.hypot(kx, ky), *water)
@@ -104,7 +109,11 @@ class SpectraOnCurrent:
 
 
 def longest_waves(omega: Array, water: Water, speed: float) -> Array:
-    """Wavenumber, rad/m, of waves that propagate along a current: the longest waves of a frequency."""
+    """Return the wavenumber, (lines,), rad/m, of waves that propagate along a current.
+
+    The current has the `speed`, m/s. These waves are the longest free waves of the frequencies `omega`
+    (lines,), rad/s.
+    """
     return np.asarray(np.interp(omega, dispersion(_TABLE_K, *water) + _TABLE_K * speed, _TABLE_K))
 
 
@@ -121,9 +130,9 @@ LEARNED_WITHIN = 1.5  # chosen: a predicted signal-to-noise ratio is uncertain b
 
 
 def _white(noise: Array, use: Array) -> Array:
-    """White noise of each ring of wavenumber, (k,): median of `noise` (omega, k) where `use` is true.
+    """Return the white noise of each ring, (k,): the median of `noise` (omega, k) where `use` is true.
 
-    Few of these frequencies may contain waves. 0 in rings without usable frequencies.
+    It is 0 in rings without usable frequencies. Only few of the usable frequencies may contain waves.
     """
     noise = np.where(use, noise, np.nan)
     usable = np.isfinite(noise).any(axis=0)  # short records: some rings have no line away from free waves
@@ -133,7 +142,12 @@ def _white(noise: Array, use: Array) -> Array:
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    """Highest valid frequency without a gap above the peak, Hz, and the decades by which energy falls."""
+    """Return the frequency, Hz, up to which a spectrum is valid, and by how many decades it falls.
+
+    From the peak of `signal` (omega,), the function goes up as long as `valid` (omega,) is true. `omega` is
+    in rad/s. The decades are counted from the peak to there; they are NaN if the signal there is not
+    positive.
+    """
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
@@ -144,12 +158,15 @@ def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
 
 
 def _smooth(values: Array) -> Array:
-    """Running mean over seven lines, the first axis."""
+    """Return the running mean over seven lines, along the first axis."""
     return np.asarray(uniform_filter1d(values, 7, axis=0, mode="nearest"))
 
 
 def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Array:
-    """Lines of which most cells near free waves, within three rings and seven lines, are trusted."""
+    """Return a mask (omega,): true where more than 90 % of the cells near free waves are trusted.
+
+    `trusted` is a mask (omega, k). The cells are those within one ring and three lines of the free waves.
+    """
     k, waves = spectra.k, np.asarray(wavenumber(spectra.omega, *water))
     if spectra.speed:  # on a current, use the mean wavenumber of the energy
         energy = np.maximum(_smooth(spectra.zw), 0.0)
@@ -162,7 +179,7 @@ def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Arra
 
 @dataclass(frozen=True)
 class _Gains:
-    """Power gains of z and w, and the gain of their cross spectrum, (k,); 0 where they are too small."""
+    """Gains (k,) of the power spectra of z and w, 0 where too small, and of their cross spectrum."""
 
     z: Array
     w: Array
@@ -171,23 +188,26 @@ class _Gains:
 
     @property
     def std(self) -> tuple[Array, Array]:
-        """Relative standard uncertainties of the amplitude gains of z and w."""
+        """Relative standard uncertainties of the amplitude gains of z and of w, two arrays (k,)."""
         z, w = (self.log_std * np.maximum(1.0 - np.sqrt(power), 0.0) for power in (self.z, self.w))
         return z, w
 
     @property
     def both_usable(self) -> Array:
-        """Rings in which z and w can both be corrected."""
+        """Mask (k,): true in rings in which z and w can both be corrected."""
         return np.asarray((self.z > 0) & (self.w > 0))
 
     def elevation(self, cross: Array) -> Array:
-        """Elevation spectrum from the cross spectrum, (omega, k); 0 where z or w cannot be corrected."""
+        """Return the elevation spectrum (omega, k) from `cross`, the cross spectrum (omega, k) of z and w.
+
+        It is 0 where z or w cannot be corrected.
+        """
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.both_usable, cross / self.zw, 0.0)
 
 
 def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
-    """Gains over rings, k in rad/m; 1 without a gain."""
+    """Return the power gains at the rings `k`, rad/m; all gains are 1 if `gain` is None."""
     if gain is None:
         return _Gains(np.ones_like(k), np.ones_like(k), np.ones_like(k))
     z, w, both = (ring_gain(gain, *names, k) for names in (("z", "z"), ("w", "w"), ("z", "w")))
@@ -197,11 +217,11 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
 
 @dataclass(frozen=True)
 class _Elevations:
-    """Elevation spectra (omega, k) from z (zz), from w (ww) and from their cross spectrum (zw)."""
+    """Elevation spectra (omega, k) from z (zz) and from w (ww), and the cross spectrum of both (zw)."""
 
     omega: Array
     k: Array
-    dt: float
+    dt: float  # time between frames, s
     zz: Array
     ww: Array
     zw: Array
@@ -210,16 +230,19 @@ class _Elevations:
 
     @property
     def step(self) -> float:
-        """Distance of the rings, rad/m."""
+        """Difference of the wavenumbers of neighbouring rings, rad/m."""
         return float(self.k[1] - self.k[0])
 
     def over_k(self, array: Array) -> Array:
-        """Integral over k, (omega,)."""
+        """Return the integral of an array (omega, k) over k, (omega,)."""
         return np.asarray(array.sum(axis=1) * self.step)
 
 
 def _elevations(ring: xr.Dataset, water: Water, planes: SpectraOnCurrent) -> _Elevations:
-    """Elevation spectra over rings, before noise is subtracted or gains are corrected."""
+    """Return the elevation spectra from z and w, before noise is subtracted or gains are corrected.
+
+    `ring` is the result of `cross_spectra` for z and w.
+    """
     dt, omega = float(ring.attrs["dt"]), ring["omega"].values
     frames = int(ring.attrs.get("frames", 2))
     of_z = ring["E"].sel(quantity="z").values
@@ -229,19 +252,25 @@ def _elevations(ring: xr.Dataset, water: Water, planes: SpectraOnCurrent) -> _El
 
 @dataclass(frozen=True)
 class _Noise:
-    """Noise (omega, k) of z and of the elevation from w, and fits to both that are white over omega."""
+    """Noise (omega, k) of z and of the elevation from w, and fits to both noises.
+
+    The fitted noise of z, and of w dt, is white: at each k it is the same at all omega.
+    """
 
     z: Array
     w: Array
     fit_z: Array
     fit_w: Array
-    white_z: Array  # (k,)
-    white_dz: Array
+    white_z: Array  # (k,): fitted noise of z
+    white_dz: Array  # (k,): fitted noise of w dt
     known: bool  # whether most rings have waves in less than half of their lines, so that a median is noise
 
 
 def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
-    """Estimate the noise of z and w from what they do not share, S_zz - Re S_zw and S_ww - Re S_zw."""
+    """Return the noise of z and of the elevation from w, and white fits to both.
+
+    The noise is the energy that z and w do not share: S_zz - Re S_zw for z, and S_ww - Re S_zw for w.
+    """
     omega, k = spectra.omega, spectra.k
     use = (np.arange(omega.size) >= MIN_LINES) & (omega < 0.95 * omega[-1])
     # rings with too small a gain still contain some waves: there, the noise is taken away from free waves
@@ -264,8 +293,11 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
 
 
 def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array, Array]:
-    """Elevation spectrum from both z and w, its noise, and the relative uncertainty due to the gains.
-    In every cell, z and w divided by their gains are weighted by the inverse variance from noise and gain.
+    """Return the elevation spectrum from z and w combined, its noise, and the uncertainty by the gains.
+
+    All are (omega, k), and the uncertainty is relative, for an amplitude. In every cell, z and w divided by
+    their gains are weighted by the inverse variance from noise and gain. The noise is already subtracted from
+    the spectrum.
     """
     std_z, std_w = gains.std
     waves = np.maximum(gains.elevation(spectra.zw), 0.0)
@@ -284,15 +316,18 @@ def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Ar
 
 
 def _tiny(spectra: _Elevations) -> float:
-    """Smallest energy density that a denominator may have."""
+    """Return the smallest energy density that may stand in a denominator, against division by zero."""
     return 1e-30 * max(float(spectra.zz.max()), 1e-300)
 
 
 def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
 ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
-    """Energies (omega, k) in the order of METHODS, where they are trusted, and uncertainties by the gains.
-    With `undo`, noise is subtracted and gains are corrected.
+    """Return energies, masks of trusted cells, and uncertainties by the gains, for the four `METHODS`.
+
+    Each result is a tuple of arrays (omega, k), and the uncertainties are relative. With `undo`, noise is
+    subtracted, gains are corrected, and cells that are not trusted are 0. Otherwise the uncertainties are 0,
+    and noise is subtracted only from the fourth energy.
     """
     best, remaining, std_best = _best(spectra, noise, gains)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -320,7 +355,11 @@ def _by_method(
 def from_spectra(
     ring: xr.Dataset, water: Water, gain: xr.Dataset | None, planes: SpectraOnCurrent
 ) -> xr.Dataset:
-    """Results of `fused_spectra` from the power and cross spectra of z and w."""
+    """Return the result of `fused_spectra` from the result `ring` of `cross_spectra` for z and w.
+
+    If `gain` is None, spectra are not corrected. `planes` holds the spectra over (omega, ky, kx) and the
+    current.
+    """
     spectra = _elevations(ring, water, planes)
     omega = spectra.omega
     gains = _gains(gain, spectra.k)
@@ -371,14 +410,17 @@ def from_spectra(
 
 
 def _freedom(ring: xr.Dataset) -> dict[str, Array]:
-    """Degrees of freedom of E(omega) by each method, before noise is subtracted."""
+    """Return the degrees of freedom of E(omega) by method, (omega,), before noise is subtracted."""
     z, w = (ring["dof_omega"].sel(quantity=name).clip(min=1).values for name in NAMES)
     both = np.sqrt(z * w)
     return {"stereo": z, "w": w, "cross": both, "fusion": both}
 
 
 def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
-    """Lines whose energy is mostly near free waves; leakage of the peak has smaller wavenumbers."""
+    """Return a mask (omega,): true where most of the energy is near free waves or at larger k.
+
+    `energy` is (omega, k). Elsewhere it is mostly leakage of the peak, which has smaller wavenumbers.
+    """
     shorter = spectra.k > MIN_FREE_K * longest_waves(spectra.omega, water, spectra.speed)[:, None]
     energy = np.maximum(energy, 0.0)
     total = _smooth(energy.sum(axis=1))
@@ -386,7 +428,11 @@ def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
 
 
 def _kept_freedom(energies: dict[str, Array], remaining: Array, tiny: float) -> dict[str, Array]:
-    """Fraction of the degrees of freedom that remains when each method subtracts the noise."""
+    """Return, by method, the fraction of degrees of freedom left when noise is subtracted, (omega,).
+
+    `energies` holds E(omega) by method, `remaining` (omega,) is the noise of their combination, and `tiny`
+    the smallest denominator.
+    """
     zz, ww, zw, best = (energies[method] for method in METHODS)
     both = np.maximum(best + remaining, tiny)
     return {
@@ -420,7 +466,7 @@ def fused_spectra(
     depth : float, optional
         Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep.
     current : tuple of float, optional
-        Velocity of the water along x and y, m/s; by default fitted to w, or zero if the fit is refused.
+        Velocity of the water along x and y, m/s; by default fitted to w, or zero if the fit fails.
     segment : int, optional
         Steps of a Welch segment; by default chosen from the record.
     record : Record, optional
@@ -431,13 +477,13 @@ def fused_spectra(
     Dataset
         Over (source, omega), with the sources stereo (from z), w (from integrated w), cross (from their cross
         spectrum) and fusion (their best combination): ``Ez``, m2 s rad-1; its degrees of freedom ``dof_Ez``;
-        ``low_Ez`` and ``high_Ez``, which times Ez are the limits of the 95 % interval; ``valid_Ez``, true if
-        the waves are at least three times the remaining noise.
+        ``low_Ez`` and ``high_Ez``, the limits of the 95 % interval as factors of Ez; ``valid_Ez``, true
+        where the waves exceed three times the noise in most cells near the dispersion relation.
         Over omega: ``noise_z`` and ``noise_w``, the noise in the spectra from z and w, m2 s rad-1.
         ``sigma_z`` and ``sigma_dz``, the rms noise of z and of w dt, m; NaN if segments are too short to
         separate noise from waves. Over source: ``range_frequency``, Hz, the frequency up to which Ez is
         valid, and ``range_decades``, the decades by which Ez falls from the peak to there. With a gain,
-        ``Ez_komega`` (omega, k), m3 s rad-2, by fusion; NaN where it is not trusted.
+        ``Ez_komega`` (omega, k), m3 s rad-2, by fusion; NaN where the waves are below three times the noise.
 
     Raises
     ------
@@ -493,9 +539,10 @@ def _fused(
     depth: float,
     gamma: float,
 ) -> xr.Dataset:
-    """Compute the result of `fused_spectra` from the Welch sums that `analyze` has made already.
+    """Return the result of `fused_spectra` from the sums that `analyze` has made already.
 
-    `gamma` is the surface tension over the density. To free memory, the map of z and w leaves `ring_sums`.
+    `ring` is the result of `cross_spectra`, `density_w` the spectrum E(omega, ky, kx) of w, and `gamma` the
+    surface tension over density, m3/s2. The function removes "map z*w" from `ring_sums` to free memory.
     """
     cross = ring_sums.pop("map z*w")  # frees memory: no other product needs it
     zw = xr.DataArray(density(cross, welch), density_w.coords, density_w.dims)
@@ -509,7 +556,11 @@ def _fused(
 
 
 def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str, float]) -> xr.Dataset:
-    """Elevation spectra by method, not valid in lines that interpolated nodes may dominate."""
+    """Return the elevation spectra by method for the group `spectra` of `analyze`.
+
+    `filled` is the error in E(omega) of z and of w due to interpolated nodes. ``valid_Ez`` becomes false
+    where the spectrum is less than four times this error.
+    """
     out = fused[BY_SOURCE].copy()
     step = float(ring["k"][1] - ring["k"][0])
     over_k = {name: ring["E"].sel(quantity=name).sum("k").values * step for name in NAMES}
@@ -520,7 +571,7 @@ def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str,
 
 
 def _fusion_group(fused: xr.Dataset) -> xr.Dataset:
-    """Group `fusion`: all results of `fused_spectra` except the spectra by method."""
+    """Return the group `fusion` of `analyze`: the result of `fused_spectra` without the spectra by method."""
     return fused.drop_vars(BY_SOURCE)
 
 

@@ -28,9 +28,9 @@ MIN_AMPLITUDE = 0.5  # smallest gain that is corrected (chosen): a correction at
 def path_factor(omega: Values, dt: float, frames: int) -> Values:
     """Return the amplitude gain of a velocity from several frames, relative to one from two frames.
 
-    With `omega` in rad/s and the weights w of `PATH_WEIGHTS` for this number of `frames`, the gain is w_0 + 2
-    w_1 cos(omega dt) + 2 w_2 cos(2 omega dt). For instantaneous velocities (`frames` = 1) it is b / sin b,
-    with b = omega dt / 2.
+    With `omega` in rad/s and the weights w of `PATH_WEIGHTS` for this number of `frames`, the gain is
+    w_0 + 2 w_1 cos(omega dt) + 2 w_2 cos(2 omega dt). For instantaneous velocities (`frames` = 1) it is
+    b / sin b, with b = omega dt / 2.
     """
     factor: Values
     if frames == INSTANTANEOUS:
@@ -63,7 +63,7 @@ def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
     `k` is in rad/m, `omega` in rad/s. A run interpolates z from six frames (``frames`` > 2) that move with
     the mean flow. There a free wave turns by 2 b = sigma(k) dt per frame, so the interpolation has the gain
     (150 cos b - 25 cos 3b + 3 cos 5b) / 128. The factor divides by this gain, or by 1/2 where the gain is
-    smaller.
+    smaller. For one or two frames, it only shifts the time.
     """
     start = np.exp(-0.5j * omega * dt)
     if frames <= 2:  # fields of another program
@@ -74,7 +74,7 @@ def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
 
 
 def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
-    """Factor from the power spectrum of w to that of the elevation.
+    """Return the factor that converts the power spectrum of w to the power spectrum of the elevation.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def gain_of(
 
 
 def is_predicted(gain: xr.Dataset) -> bool:
-    """Whether a gain was predicted by a run, rather than measured or given."""
+    """Return whether a run predicted the gain; otherwise the user measured it or gave it."""
     return str(gain.attrs.get("origin", "")).startswith(PREDICTED)
 
 
