@@ -185,9 +185,9 @@ def atomic(
     """Context manager: yield a temporary path for an output, which is renamed to `path` at the end.
 
     If the block raises, `path` stays as it was. With a `product` the output gets its mark, and an output at
-    `path` is replaced only if it has the same mark and is unchanged. Without a product nothing is replaced.
-    With `replace` any plain file is. `inputs` are files that the same command reads. Raises StoreError if
-    `path` must not be replaced, is an input, or cannot be written.
+    `path` is replaced only if it has the same mark and is unchanged. Without a product no output is replaced,
+    but `replace` allows to replace any plain file. `inputs` are files that the same command reads. Raises
+    StoreError if `path` must not be replaced, is an input, or cannot be written.
     """
     path = Path(path)
     with writing(path):

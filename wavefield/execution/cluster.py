@@ -253,7 +253,8 @@ def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Seq
 def _result(task: Any) -> Any:
     """Return the result of a Dask task that has ended, or the exception that it raised.
 
-    Exceptions of Dask itself are replaced by errors that tell what to do.
+    Dask's errors on killed workers and on loading wavefield are replaced by errors that tell what to do.
+    Dask's CancelledError is raised.
     """
     from distributed import CancelledError
 
