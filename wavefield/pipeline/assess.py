@@ -142,7 +142,10 @@ def check_record(prepared: PreparedRun, status: Status) -> RiseRatios | None:
 
 
 def assess_run(prepared: PreparedRun, status: Status, ratios: RiseRatios | None) -> Verdict:
-    """Return the verdict on a cube after its run; ``ratios`` is the result of `check_record`."""
+    """Return the verdict on a cube after its run: all remarks on the measurement.
+
+    ``ratios`` is the result of `check_record`.
+    """
     experiment, series = prepared.experiment, prepared.series
     cube = open_cube(status.store)
     sample = cube[[*COMPARED, "eps_piv", "quality"]]
@@ -234,7 +237,7 @@ def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
 
 
 def _sampled(steps: int) -> list[int]:
-    """Return the steps that are matched again after a run: a tenth of them, but at least 4 and at most 12.
+    """Return the steps that are matched again after a run: a tenth of all, but at least 4 and at most 12.
 
     ``steps`` is the number of steps in the record.
     """
@@ -355,10 +358,10 @@ def uncertainty_terms(
     Returns
     -------
     Dataset, (term, y, x)
-        z in m; u, v, w in m/s. The coordinate ``term`` is noise (image noise through the estimator; for u, v,
-        w scaled by chi^2), prior (waves that the prior damps), frames (waves too fast for the frame rate),
-        ripples (waves shorter than a block) or setup (epipolar error, height of beads, light sheet). NaN
-        where not measured.
+        z in m; u, v, w in m/s. The coordinate ``term`` is noise (image noise; for u, v, w increased where
+        displacements of the cameras disagree), prior (waves that the prior damps), frames (waves too fast
+        for the frame rate), ripples (waves shorter than a block) or setup (epipolar error, height of beads,
+        light sheet). NaN where not measured.
 
     Raises
     ------

@@ -91,10 +91,10 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
 
 def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> None:
-    """Link the folder of an existing cube as the recipe run last, named after the hash of its recipe.
+    """Link the folder of an existing cube under the hash of its recipe, and let ``latest`` point to it.
 
     ``place`` is the folder of the run, and ``data`` the content of the catalog, to which the hash is added.
-    Does nothing if ``cube`` is not a cube.
+    Nothing is done if ``cube`` is not a cube.
     """
     from wavefield.store.read import is_cube, open_group
 

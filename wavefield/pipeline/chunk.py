@@ -27,7 +27,7 @@ class Source(Protocol):
     def __len__(self) -> int: ...
 
     def read(self, index: int) -> Frame:
-        """Read the frame of an index: its image, or None and its fault."""
+        """Read the frame of an index: its image, or the fault for which there is none."""
         ...
 
     def covered(self, index: int) -> np.ndarray | None:
@@ -226,7 +226,7 @@ def _find_high_water(
 
 @dataclass(frozen=True)
 class Report:
-    """Summary of a written chunk, which a worker returns."""
+    """Summary of a chunk that was measured and written; a worker returns it."""
 
     start: int  # First step
     stop: int  # Step after the last

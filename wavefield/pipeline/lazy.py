@@ -121,7 +121,7 @@ def reconstruct(
         If cameras are missing, or if times are not evenly spaced.
     RigError
         If the rig file cannot be read, if images have another size than the rig's cameras, or if no grid is
-        given and the cameras share no field.
+        given and the cameras have no common field of view.
 
     Examples
     --------
@@ -266,7 +266,7 @@ def _gain(
 
 
 def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> None:
-    """Raise ExperimentError if a learned record lacks a camera that is used now."""
+    """Raise ExperimentError if a learned record lacks a camera of the present measurement."""
     for part, cameras in (("beads", geometry.cameras), ("displacement", geometry.velocity_cameras)):
         learned = record.get(part)
         absent = [name for name in cameras if not isinstance(learned, Mapping) or name not in learned]

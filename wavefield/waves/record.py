@@ -124,22 +124,22 @@ FIELDS = ("z", "z_t", "u", "v", "w")
 
 @dataclass(frozen=True)
 class Record:
-    """The rectangle of nodes and the runs of steps of a cube that the estimators use.
+    """The part of a cube that the estimators use: a rectangle of nodes, and runs of unbroken steps.
 
     Parameters
     ----------
     y, x : tuple of int
-        First node of the rectangle, and one past its last.
+        Index of the first node of the rectangle, and one past its last.
     runs : tuple of (int, int)
-        First step of each run without long gaps, and one past its last.
+        Index of the first step of each run without long gaps, and one past its last.
     bridged : tuple of int
-        Missing steps inside the runs; they are interpolated.
+        Indices of missing steps inside the runs; their values are interpolated.
     steps : int
-        Steps of the whole cube.
+        Number of steps of the whole cube.
     holes : int
-        Number of values missing inside the rectangle at valid steps; they are interpolated.
+        Number of values missing inside the rectangle at steps that are used; they are interpolated.
     dt, dy, dx : float
-        Steps of time, y and x, s and m.
+        Spacing of time (s), y and x (m).
     """
 
     y: tuple[int, int]
@@ -311,10 +311,11 @@ def _finite_steps(arrays: Sequence[xr.DataArray], steps: tuple[int, int]) -> np.
 
 
 def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Record:
-    """Find the largest full rectangle of nodes and the runs of valid steps of a cube.
+    """Find the largest rectangle of measured nodes, and the runs of measured steps, of a cube.
 
-    Gaps of at most two steps are interpolated; longer gaps split the record. The values are read once (a lazy
-    cube is computed), and only masks are kept in memory.
+    Nodes that are missing at some steps may lie inside; their values are interpolated. Gaps of at most two
+    steps are also interpolated; longer gaps split the record. The values are read once (a lazy cube is
+    computed), and only masks are kept in memory.
 
     Parameters
     ----------
@@ -327,12 +328,12 @@ def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Re
     Returns
     -------
     Record
-        Rectangle, runs and steps of the axes.
+        Rectangle, runs and spacing of the axes.
 
     Raises
     ------
     CubeError
-        If the axes are uneven, no step is valid, or no full rectangle of 8 x 8 nodes exists.
+        If the axes are uneven, no step is valid, or no measured rectangle of 8 x 8 nodes exists.
     """
     dt, dy, dx = check_axes(cube)
     arrays = [cube] if isinstance(cube, xr.DataArray) else [cube[name] for name in FIELDS if name in cube]
