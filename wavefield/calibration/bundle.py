@@ -237,7 +237,7 @@ class Whitener:
 
 
 def _blocks(matrices: Array) -> sparse.csr_array:
-    """Block-diagonal matrix (3n, 3n) of blocks (n, 3, 3)."""
+    """Return the sparse block-diagonal matrix (3n, 3n) with the blocks `matrices` (n, 3, 3)."""
     n = len(matrices)
     columns = np.broadcast_to(3 * np.arange(n)[:, None, None] + np.arange(3), (n, 3, 3))
     return sparse.csr_array(

@@ -96,7 +96,7 @@ def _weaker_curvature(xx: Image, yy: Image, xy: Image) -> Image:
 
 
 def cross(a: Array, b: Array) -> float:
-    """Cross product of two vectors (2,)."""
+    """Return the cross product a[0] b[1] - a[1] b[0] of two vectors (2,)."""
     return float(a[0] * b[1] - a[1] * b[0])
 
 

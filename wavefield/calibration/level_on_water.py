@@ -208,7 +208,7 @@ def level_experiment(
     frames: int = 20,
     progress: Callable[[int, int], None] | None = None,
 ) -> Levelled:
-    """Bring z = 0 to the mean surface of moving water, after placing the second camera if requested.
+    """Bring z = 0 to the mean surface of moving water, from the images of an experiment.
 
     Parameters
     ----------

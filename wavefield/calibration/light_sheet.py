@@ -240,7 +240,7 @@ def find_sheet(
     frames: int = 50,
     progress: Callable[[int, int], None] | None = None,
 ) -> LightSheet:
-    """Bring z = 0 to a light sheet, and correct a camera that has moved, from images of the particles.
+    """Bring z = 0 to a light sheet, from images of its particles, and correct cameras that have moved.
 
     Parameters
     ----------

@@ -111,7 +111,7 @@ def calibrate(
         Standard uncertainty of the target's nodes along each axis, metres. If it is given, the fit estimates
         the nodes' offsets with this prior; level the rig on the water at rest afterwards.
     camera_distance : mapping of str to float, optional
-        Distances of cameras from the origin, measured by hand, metres. Only they can reveal a wrong mesh.
+        Distances of cameras from the origin that you measured, metres. Only they can reveal a wrong mesh.
     progress : callable, optional
         Called with (camera models fitted, number of models).
 

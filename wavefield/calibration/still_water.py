@@ -168,7 +168,7 @@ class SightLineFit:
         pixel, J, A = linearised(replace(self.start, offset=point), self.layout, x, self.observations)
 
         def by_point(values: Array) -> Array:
-            """Reorder (cameras n, 2, ...) to (n, cameras, 2, ...); zero if a camera did not see the point."""
+            """Reorder (cameras n, 2, ...) to (n, cameras, 2, ...); zero where a camera sees no point."""
             own = np.moveaxis(values.reshape(len(self.names), self.n, 2, -1), 0, 1)
             return np.ascontiguousarray(np.where(self.visible[..., None, None], own, 0.0))
 
@@ -262,7 +262,7 @@ class RigCheck:
 
 
 def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
-    """Check on any record whether a camera has moved since the calibration.
+    """Check whether a camera has moved since the calibration, from matches on any water surface.
 
     Parameters
     ----------
@@ -364,7 +364,7 @@ def _refined(problem: SightLineFit, solution: Solution, check: RigCheck) -> Rig:
 
 
 def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig, RigCheck, WaterPlane]:
-    """Correct a rig from a record of still water, and bring z = 0 to the water's plane.
+    """Correct the cameras of a rig from matches on still water, and bring z = 0 to the water's plane.
 
     Parameters
     ----------
@@ -387,7 +387,7 @@ def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig,
     Raises
     ------
     CalibrationError
-        As of `check_rig`.
+        If there are too few cameras or matches, or an unknown camera, as in `check_rig`.
     RigError
         If the points of the water are on a line.
     """

@@ -324,7 +324,7 @@ def blur(image: NDArray[np.generic] | None) -> float:
 
 @dataclass(frozen=True)
 class CameraFaults:
-    """Result of `find_camera_faults`."""
+    """Result of `find_camera_faults`: the faults, and how well each pair of cameras agrees."""
 
     remarks: tuple[Remark, ...]  # Faults found
     # By pair: ``agreement`` (fraction of matched patches) and ``eps_y`` (px, rms of the linear fit) per frame

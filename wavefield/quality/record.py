@@ -155,7 +155,10 @@ def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSerie
 
 
 def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Report cameras with many missing frames, and records with few complete steps."""
+    """Report cameras with many missing frames, and a record with few complete steps.
+
+    A step is complete if every camera has both of its frames.
+    """
     for name, one in series.items():  # for recordings with a clock, `_gaps` reports dropped images
         missing = one.missing
         if one.times is not None or len(missing) <= MAX_LOST * len(one):
