@@ -489,10 +489,11 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     Returns
     -------
     Dataset
-        Over (term, k), for the terms w, nl and tot: the complex coherence ``C`` with common norm; the squared
-        coherence ``gamma2``; the number of independent ``samples``; and ``level``, the gamma2 that unrelated
-        signals exceed in 5 % of cases. The same names with ``_komega`` are over (term, omega, k). ``valid``
-        (k) is true where the energies of z_t and w are more than three times their noise, because noise is
+        Over (term, k), for the terms w, nl (-u . grad z) and tot (their sum): the complex coherence ``C``,
+        with the same norm for all terms; the squared coherence ``gamma2``; the number of independent
+        ``samples``; and ``level``, the gamma2 that unrelated signals exceed in 5 % of cases. The same names
+        with ``_komega`` are over (term, omega, k). ``valid`` (k) is true where the energies of z_t and w are
+        more than three times their noise; elsewhere the coherence may be due to noise, which is
         coherent, too.
 
     Raises

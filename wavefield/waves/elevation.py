@@ -219,8 +219,8 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
 class _Elevations:
     """Elevation spectra (omega, k) from z (zz) and from w (ww), and the cross spectrum of both (zw)."""
 
-    omega: Array
-    k: Array
+    omega: Array  # rad/s
+    k: Array  # of the rings, rad/m
     dt: float  # time between frames, s
     zz: Array
     ww: Array
@@ -259,8 +259,8 @@ class _Noise:
 
     z: Array
     w: Array
-    fit_z: Array
-    fit_w: Array
+    fit_z: Array  # from white_z
+    fit_w: Array  # from white_dz
     white_z: Array  # (k,): fitted noise of z
     white_dz: Array  # (k,): fitted noise of w dt
     known: bool  # whether most rings have waves in less than half of their lines, so that a median is noise
