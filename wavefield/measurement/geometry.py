@@ -62,7 +62,9 @@ class Sight:
         self._polynomial = np.einsum("pk,kfyx->fpyx", inverse, np.array(values)).astype(np.float32)
 
     def at(self, z: Float, every: int = 1) -> NDArray[np.float32]:
-        """Image position and Jacobian (8, ny, nx) of every n-th node along x and y, at elevations z, metres.
+        """Return image position and Jacobian, (8, ny, nx), of nodes at elevations z (ny, nx), metres.
+
+        The nodes are those of the grid, or each `every`-th along x and y.
 
         The eight planes are X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz, dY/dx, dY/dy, dY/dz
         (px per metre).
@@ -70,7 +72,7 @@ class Sight:
         return self._evaluate(z, self._polynomial[..., ::every, ::every])
 
     def position(self, z: Float) -> NDArray[np.float32]:
-        """Image position X, Y of the nodes at elevations z (ny, nx), metres: (2, ny, nx), px."""
+        """Return the positions X, Y of nodes at elevations z, metres, (2, ny, nx), px of the binned image."""
         return self._evaluate(z, self._polynomial[:2])
 
     def _evaluate(self, z: Float, polynomial: Float) -> NDArray[np.float32]:
@@ -82,7 +84,7 @@ class Sight:
         return out
 
     def sees(self, X: Float, Y: Float) -> NDArray[np.bool_]:
-        """Whether the positions X, Y, px, lie inside the binned image."""
+        """Return a mask, True where the positions X, Y, px, lie inside the binned image."""
         w, h = self.camera.size
         with np.errstate(invalid="ignore"):
             return (X >= 0) & (X <= w - 1) & (Y >= 0) & (Y <= h - 1)
@@ -96,10 +98,7 @@ _LENS_BLUR_PX = 0.6  # standard deviation of the blur of a usual lens
 
 @dataclass(frozen=True)
 class RectifiedPlane:
-    """Pixel grid of the rectified images on the plane z = 0.
-
-    The x, y of a pixel is where the sight line of the reference camera meets the plane.
-    """
+    """Pixel grid of the rectified images, which all cameras' images are mapped to, on the plane z = 0."""
 
     origin: tuple[float, float]  # x, y of the first pixel, metres
     pixel: float  # side of a pixel, metres
@@ -136,10 +135,12 @@ class RectifiedView:
 def fit_plane(
     cameras: Sequence[Camera], x: Float, y: Float, z_range: tuple[float, float], pixel: float
 ) -> RectifiedPlane:
-    """Rectified plane: the smallest rectangle that contains the apparent positions of nodes x, y (ny, nx).
+    """Choose the rectangle on z = 0 to which images are rectified, for nodes x, y (ny, nx), metres.
 
-    It contains them at all elevations, for the reference, which is the first camera, and at least one
-    partner. It is limited to the view of two cameras.
+    It contains the points where the sight lines through the nodes, at the elevations of `z_range`, meet z =
+    0: those of the reference, which is the first camera, and of at least one other camera. It is limited to
+    what two cameras see, with a margin. `pixel` is the side of a rectified pixel, metres. Raises RigError if
+    the grid or the common view is too small.
     """
     if min(x.shape) < _MIN_NODES:
         raise RigError(
@@ -175,9 +176,10 @@ def fit_plane(
 
 
 def _reach(camera: Camera, edge: Float) -> Float:
-    """Points (n, 2), metres, that bound the part of the plane z = 0 which a camera sees.
+    """Return points (n, 2), metres, that bound the part of the plane z = 0 which a camera sees.
 
-    If the horizon is in view, the visible ones of the grid's edge nodes (m, 2) are added.
+    If the horizon is in view, those of the grid's edge nodes `edge` (m, 2), metres, that the camera sees are
+    added.
     """
     view = view_on_water(camera)
     if np.isfinite(camera.corners()).all():
@@ -188,7 +190,10 @@ def _reach(camera: Camera, edge: Float) -> Float:
 def rectified_views(
     sights: Mapping[str, Sight], plane: RectifiedPlane, middle: tuple[float, float], stereo: MatchSettings
 ) -> dict[str, RectifiedView]:
-    """Rectified view of every camera; `middle` is that of the grid, metres."""
+    """Compute the rectified view of every camera on `plane`, by camera.
+
+    `middle` is the middle (x, y) of the grid, metres; `stereo` are the settings of matching between cameras.
+    """
     blur = _blur(sights, plane.pixel, middle)
     out = {}
     for name, sight in sights.items():
@@ -203,9 +208,11 @@ def rectified_views(
 def _blur(
     sights: Mapping[str, Sight], pixel: float, middle: tuple[float, float]
 ) -> dict[str, tuple[float, float]]:
-    """Standard deviations along x and y, px, of the blur that makes beads equally wide in all cameras.
+    """Return, by camera, the blur that makes beads equally wide in all rectified images.
 
-    In rectified images of an oblique camera, beads are stretched along its view, which would bias z.
+    The blur is a Gaussian, given by its standard deviations along x and y, px. Without it, beads are
+    stretched along the view of an oblique camera, which would bias z. `middle` is the middle (x, y) of the
+    grid, metres.
     """
     variances = {}
     for name, sight in sights.items():
@@ -230,7 +237,10 @@ class Covered:
     flat: Mask | None  # of the rectified image; None for a camera that does not measure z
 
     def at(self, X: NDArray[Any], Y: NDArray[Any]) -> Pixels:
-        """Whether the blocks around positions X, Y, px, contain masked pixels."""
+        """Return a mask, True where the block around a position X, Y, px, contains masked pixels.
+
+        Positions outside the binned image are False.
+        """
         whole = self.raw.levels[0]
         h, w = whole.shape
         with np.errstate(invalid="ignore"):
@@ -394,7 +404,11 @@ class GridGeometry:
         return settings
 
     def pairs_for(self, present: Sequence[str]) -> tuple[Pair, ...]:
-        """Pairs of the cameras that are present; if the reference is not, pairs of the others."""
+        """Return the pairs of cameras that measure z if only the cameras `present` have a frame.
+
+        They are those of `pairs` with both cameras present. If none is left, new pairs are made of the
+        cameras that are present; the result is empty for fewer than two.
+        """
         planned = tuple(p for p in self.pairs if p[0] in present and p[1] in present)
         if planned:
             return planned
@@ -402,7 +416,7 @@ class GridGeometry:
         return pairs_of(self.rig, rest) if len(rest) >= 2 else ()
 
     def _check_view(self) -> None:
-        """Raise an error if no node is seen by two cameras."""
+        """Raise RigError if no node is seen by both cameras of a pair."""
         heights = (self.z_range[0], 0.0, self.z_range[1])
         visible = {
             name: np.any([self.rig[name].sees(self.x, self.y, z) for z in heights], axis=0)
@@ -412,16 +426,20 @@ class GridGeometry:
             raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
 
     def _fitting_pixel(self) -> float:
-        """Rectified pixel, metres: that of the coarsest camera, or less so that a block spans 0.8 grid steps.
+        """Return the side of a rectified pixel, metres, that suits cameras and grid.
 
-        It is reduced to half at most.
+        It is that of the camera with the coarsest pixels on the water. It is reduced, at most to half, if a
+        block of 5 px would span more than 0.8 grid steps.
         """
         own = max(pixel_sides(self.rig[name], *self.middle)[0] for name in self.surface_cameras)
         return max(own / 2.0, min(own, 0.8 * self.grid.step / BLOCK))
 
 
 def _with_reference_first(pairs: Sequence[Pair]) -> tuple[Pair, ...]:
-    """The pairs with their common camera first; an error if they have none."""
+    """Return the pairs with their common camera first.
+
+    Raises ExperimentError if they have no common camera, or if a pair occurs twice.
+    """
     common = set.intersection(*(set(pair) for pair in pairs))
     if not common or len({frozenset(p) for p in pairs}) < len(pairs):
         text = ", ".join(f"[{a}, {b}]" for a, b in pairs)

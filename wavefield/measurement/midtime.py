@@ -33,7 +33,7 @@ class MidTime:
 
 @dataclass(frozen=True)
 class StepEstimate:
-    """Elevation and motion of one step, without cameras that contradict the others."""
+    """Elevation and motion of one step, from all cameras but those that contradict the others."""
 
     surfaces: Surfaces  # of the six frames around the step
     motion: Motion
@@ -57,13 +57,16 @@ def z_at_mid_time(
     times: Float = EVEN_TIMES,
     late: Float | None = None,
 ) -> tuple[tuple[Float, ...], NDArray[np.uint8], Mask]:
-    """Elevations at mid-time at nodes x, y (ny, nx), metres; number of frames; where both frames measured.
+    """Interpolate the elevation at mid-time, half-way between the two frames of a step, at nodes x, y.
 
-    The first result holds up to four elevations (ny, nx): from all frames, then from fewer, last from the
-    nearest two. The second is the number of frames that the first elevation comes from, (ny, nx). The third
-    is True where both frames of the step measured the node; elsewhere all frames are used, so that filled
-    nodes stay smooth. `flow` is the mean displacement (dx, dy) of the water in the step, metres. `times` (6,)
-    of the frames, and the delay `late` (ny, nx) at which a node is seen, are in intervals from mid-time.
+    `surfaces` are those of six frames, None if missing; x, y (ny, nx) are in metres. `flow` is the mean
+    displacement (dx, dy) of the water in the step, metres. `times` (6,) are those of the frames, and `late`
+    (ny, nx) is the delay at which a node is seen, both in frame intervals from mid-time.
+
+    Returns a tuple of at most three elevations (ny, nx), metres: the first from as many frames as possible,
+    the last from the step's two frames. Then the number of frames behind the first elevation, (ny, nx), and a
+    mask (ny, nx), True where both frames of the step measured the node. Elsewhere all frames are used, so
+    that filled nodes stay smooth.
     """
     # Interpolate in a frame of reference that moves with the mean flow U: a current would carry short waves
     # past a node faster than the frames follow. With z_n = z(x + t_n U) at t_n = -5/2 ... 5/2,
@@ -111,17 +114,19 @@ def z_at_mid_time(
 
 
 def reversed_in_time(frames: Sequence[int]) -> tuple[int, ...]:
-    """The frames mirrored about mid-time."""
+    """Return frame numbers (0 to 5) mirrored about mid-time: frame n becomes 5 - n, in rising order."""
     return tuple(5 - n for n in reversed(frames))
 
 
 def rise_of_water(
     first: Surface, second: Surface, motion: Motion, flow: tuple[float, float], x: Float, y: Float
 ) -> Float:
-    """Rise per step, (ny, nx), metres, of the particles that are at nodes x, y (ny, nx) at mid-time.
+    """Return the rise of the water's surface per step, (ny, nx), metres, following particles.
 
-    It is z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z, with the chord c, the bend b (`Motion`), and the
-    displacement per step d at mid-time.
+    The particles are at nodes x, y (ny, nx), metres, at mid-time. Their rise is z_1(x + c/2 + b) - z_0(x -
+    c/2 + b) + d_z - c_z. z_0 and z_1 are the surfaces `first` and `second`, c is the displacement from frame
+    to frame (chord), b the bend of the path, and d the velocity at mid-time times the interval (`Motion`).
+    Where the motion was not measured, the mean displacement `flow` (dx, dy) replaces it.
     """
     measured = np.isfinite(motion.chord).all(axis=0)
     parts = *motion.chord[:2], *motion.bend[:2], motion.d[2] - motion.chord[2]
@@ -134,7 +139,7 @@ def rise_of_water(
 
 
 def slope(z: Float, step: float, axis: int) -> Float:
-    """Slope of z (ny, nx) along an axis: central differences of sixth order, of lower order at the edges."""
+    """Return the slope of z (ny, nx) along an axis, by differences of sixth order, lower at the edges."""
     out: Float = np.moveaxis(np.gradient(z, step, axis=axis, edge_order=2), axis, 0)
     rows = np.moveaxis(z, axis, 0)
     for reach, weights in ((2, (8, -1)), (3, (45, -9, 1))):
@@ -150,7 +155,10 @@ def slope(z: Float, step: float, axis: int) -> Float:
 
 
 def frames_used(surfaces: Surfaces) -> int:
-    """Largest number of frames that z at mid-time can come from: 6, 4, 3 or 2."""
+    """Return the largest number of frames, 6, 4, 3 or 2, from which z at mid-time can be interpolated.
+
+    `surfaces` are those of six frames, None if missing; both frames of the step must be there.
+    """
     present = [one is not None for one in surfaces]
     if present[1] and present[4]:
         return 6 if present[0] and present[5] else 4

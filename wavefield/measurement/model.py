@@ -54,7 +54,7 @@ class LearnedRecord:
     ripples: tuple[float, float] = (0.0, 0.0)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data (dict of numbers, strings, lists) for the recipe of a cube."""
+        """Return the record as plain data (numbers, strings, lists), to be stored with a cube."""
         return {
             "beads": dict(self.beads),
             "elevation": self.elevation.to_dict(),
@@ -66,7 +66,7 @@ class LearnedRecord:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> LearnedRecord:
-        """Inverse of `to_dict`.
+        """Make a record from the data that `to_dict` returned.
 
         Raises
         ------
@@ -91,10 +91,11 @@ class LearnedRecord:
 
 
 class FieldModel:
-    """Estimator of a field with a given prior; its modes, variance and spline are computed on first use.
+    """Estimator of a field with a learned spectrum, `prior`, on a lattice of blocks `shape` (ny, nx).
 
-    shape (ny, nx) is that of the lattice. Holes matter only in the blocks `inner` (ny, nx), by default in
-    all. With `whole_beads`, the scores of the blocks come from `scores_at`.
+    Its tables are computed on first use. Holes in the data make the solver more careful only in the blocks
+    where `inner` (ny, nx) is True, by default in all. With `whole_beads`, every pixel counts in the block
+    that contains the brightest point of its bead (`scores_at`).
     """
 
     def __init__(
@@ -120,23 +121,29 @@ class FieldModel:
 
     @cached_property
     def _spline(self) -> Float:
-        """Gain from the cosine coefficients of the field to those of its spline, (my, mx)."""
+        """Factors (my, mx) from cosine coefficients of the field to those of its spline coefficients."""
         my, mx = self.modes.shape
         return spline_prefilter(self._shape)[:my, :mx]
 
     def splined(self, waves: Float, rest: Float) -> Float:
-        """Spline coefficients (ny, nx, c) of cosines (c, my, mx) plus a field `rest` (c, ny, nx)."""
+        """Return the cubic-spline coefficients (ny, nx, c) of a field with c components.
+
+        The field is given as cosine coefficients `waves` (c, my, mx) plus a field `rest` (c, ny, nx).
+        """
         out = np.moveaxis(self.modes.field(waves * self._spline), 0, -1) + local_coefficients(rest)
         return np.ascontiguousarray(out, np.float32)
 
 
 def elevation_model(geometry: GridGeometry, prior: Prior, beads: Mapping[str, float]) -> FieldModel:
-    """Estimator of the elevation on the rectified lattice, metres; `beads` are widths, 0 for a texture."""
+    """Make the estimator of the elevation, metres, on the blocks of the rectified images.
+
+    `prior` is the learned spectrum of z; `beads` are the widths of the beads by camera, 0 for a texture.
+    """
     return FieldModel(prior, geometry.lattice.shape, _inner_blocks(geometry), all(beads.values()))
 
 
 def displacement_model(geometry: GridGeometry, camera: str, prior: Prior) -> FieldModel:
-    """Estimator of the displacement between frames in the images of one camera, px of its binned image."""
+    """Make the estimator of a camera's displacement from frame to frame, px of its binned image."""
     return FieldModel(prior, geometry.sights[camera].lattice.shape)
 
 
@@ -176,7 +183,10 @@ class Model:
 
 
 def _inner_blocks(geometry: GridGeometry) -> NDArray[np.bool_]:
-    """Blocks (ny, nx) that the reference and a partner see, well inside the common view."""
+    """Return a mask (ny, nx), True for blocks that the reference and another camera see.
+
+    Blocks within seven blocks of the edge of this common view are False.
+    """
     reference, *others = (geometry.views[name].visible_blocks for name in geometry.surface_cameras)
     both = np.minimum(reference, np.max(others, axis=0)) > 0.99
     return np.asarray(cv2.erode(both.view(np.uint8), np.ones((15, 15), np.uint8)) > 0)
@@ -214,11 +224,12 @@ class Convergence:
     def next(
         self, modes: Modes, waves: Float, solved: Float, block_mean: Float | None
     ) -> tuple[Float, Float]:
-        """Coefficients (c, my, mx) to continue with, and their field averaged over the footprint.
+        """Return the coefficients (c, my, mx) to continue with, and their field averaged over blocks.
 
-        `waves` is the previous solution with its field `block_mean` (None at first), `solved` the new one.
-        The mean of both is returned if solutions oscillate, the previous one if the new one is no plausible
-        displacement.
+        `waves` is the previous solution, with its averaged field `block_mean` (None at first), and `solved`
+        the new one. The new solution is returned, but the mean of both if solutions oscillate, and the
+        previous one if the new one is too large to be a displacement. The change between both is stored for
+        `converged`.
         """
         after = modes.block_mean(solved)
         self._diverged = not self._scale * float(np.abs(after).max()) < MAX_FIELD_PX  # true for NaN as well

@@ -53,10 +53,11 @@ def median_misfit(misfit: Float, measured: Mask) -> float:
 
 
 def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
-    """Blocks (ny, nx) at which the matches of two pairs give different elevations; pixel in metres.
+    """Return a mask (ny, nx), True for blocks at which the matches of two pairs give different elevations.
 
-    Means over 5 x 5 blocks differ by more than 1.5 px of parallax. Blocks within two of these are included.
-    This finds errors larger than a bead, which scores do not show; `inconsistent_scores` finds smaller ones.
+    Successive pairs are compared. Their elevations, averaged over 5 x 5 blocks, differ by more than 1.5 px of
+    parallax there, or within two blocks. `pixel` is the side of a rectified pixel, metres. This test finds
+    errors larger than a bead, which scores do not show; `inconsistent_scores` finds smaller ones.
     """
     out = np.zeros(matches[0].eps_y.shape, bool)
     for one, other in pairwise(matches):
@@ -70,11 +71,12 @@ def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
 
 
 def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
-    """Blocks (ny, nx) at which two pairs would correct the common surface differently.
+    """Return a mask (ny, nx), True for blocks at which two pairs would correct the elevation differently.
 
-    The corrections sum s / sum H over 9 x 9 blocks, with the score s and the Hessian H of each pair (ny, nx),
-    differ by more than 0.75 px of parallax. Blocks within two of these are included. `lengths` (ny, nx) are
-    the parallaxes, px per metre. A camera that is displaced by a pixel is found by this alone.
+    The arguments have one array (ny, nx) for each pair of cameras: scores s and Hessians H for the common
+    elevation, and magnitudes of the parallax, px per metre. Successive pairs are compared. Their corrections,
+    sum s / sum H over 9 x 9 blocks, differ by more than 0.75 px of parallax there, or within two blocks. Only
+    this test finds a camera that is displaced by a pixel.
     """
     means = [
         (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
@@ -93,5 +95,5 @@ def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], leng
 
 
 def widened(where: Mask) -> Mask:
-    """Mask (ny, nx) extended by two blocks, the reach of a window."""
+    """Return the mask (ny, nx) with its True area extended by two blocks, the reach of a window."""
     return np.asarray(cv2.dilate(where.view(np.uint8), _WINDOW_REACH) > 0)

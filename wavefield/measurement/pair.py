@@ -48,7 +48,7 @@ class PairMatch:
 
     @property
     def turned(self) -> PairMatch:
-        """The match with parallaxes turned by 90 degrees, so that its "elevation" is pure error."""
+        """The match with parallaxes turned by 90 degrees; no real elevation shows in it, only errors."""
         return replace(self, parallax=quarter_turn(self.parallax))
 
 
@@ -60,10 +60,12 @@ def quarter_turn(vector: Float) -> Float:
 def match_pair(
     a: matching.PreparedImage, b: matching.PreparedImage, pair: tuple[str, str], geometry: GridGeometry
 ) -> PairMatch:
-    """Match two rectified images of one instant, and reject blocks by elevation and epipolar error.
+    """Match the rectified images a, b of two cameras at one instant, and reject implausible blocks.
 
-    In apparent positions, d = x_b - x_a = -(D_b - D_a) z. Hence z = -(dD . d) / |dD|^2, and the epipolar
-    error is eps_Y = (dD_y d_x - dD_x d_y) / |dD|.
+    `pair` are the cameras' names. A point at the elevation z appears at the positions x_a and x_b, where both
+    sight lines meet z = 0. D, the slope of a sight line, is its horizontal displacement per unit of height.
+    Then d = x_b - x_a = -(D_b - D_a) z = -dD z, so z = -(dD . d) / |dD|^2. The epipolar error, which no
+    elevation explains, is eps_Y = (dD_y d_x - dD_x d_y) / |dD|. Blocks with a large z or eps_Y are rejected.
     """
     found = matching.match(a, b, geometry.stereo_settings(pair))
     d = np.stack([found.u, found.v]) * np.float32(geometry.pixel)
@@ -84,7 +86,10 @@ def match_pair(
 
 
 def _sight_line(centre: Float, x: Float, y: Float) -> Float:
-    """Slope D of the sight lines from a camera centre at apparent positions x, y: (2, ny, nx)."""
+    """Return the slope of the sight lines from a camera's centre to points x, y on z = 0, (2, ny, nx).
+
+    It is the horizontal displacement along x and y per unit of height.
+    """
     depth = np.float32(-centre[2])
     return np.stack([(x - np.float32(centre[0])) / depth, (y - np.float32(centre[1])) / depth])
 
@@ -111,10 +116,11 @@ def matched_pixels(
     geometry: GridGeometry,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Pixels (column, row) of the same n points of still water in each camera, (n, 2), to level a rig.
+    """Match points of still water in all cameras; return their pixels (column, row), (n, 2), by camera.
 
-    `read(camera, frame)` returns an image or None. Raises CalibrationError if no frame is usable in all
-    cameras.
+    They serve to level a rig. Where a pair does not match, its second camera has NaN. `read(camera, frame)`
+    returns an image or None; `frames` are the numbers of the frames to read; `progress(done, count)` is
+    called after each. Raises CalibrationError if no frame is usable in all cameras.
     """
     rig = geometry.rig
     cells = np.s_[::_STRIDE_BLOCKS, ::_STRIDE_BLOCKS]

@@ -43,13 +43,16 @@ _NOISE_CORRELATION = -0.2
 
 
 def elevation_gain(phase: Float, frames: int) -> Float:
-    """Gain of z at mid-time interpolated from 2, 4 or 6 frames, for a wave of this phase per step, rad."""
+    """Return the gain of z, interpolated at mid-time from 2, 4 or 6 frames, for a wave.
+
+    `phase` is the angle by which the wave's phase turns per step, rad.
+    """
     weights = {2: (1.0,), 4: (9 / 8, -1 / 8), 6: (150 / 128, -25 / 128, 3 / 128)}[frames]
     return np.asarray(sum(w * np.cos((n + 0.5) * phase) for n, w in enumerate(weights)))
 
 
 def path_gain(phase: Float, frames: int) -> Float:
-    """Gain of velocities for a wave whose phase turns by `phase`, rad, per step.
+    """Return the gain of velocities for a wave whose phase turns by the angle `phase`, rad, per step.
 
     `frames` is a value of the variable `path_frames`: 2, 4, 6, or 7 for six frames with exact weights.
     """
@@ -61,10 +64,11 @@ def path_gain(phase: Float, frames: int) -> Float:
 def frame_weights(
     times: Float, frames: Sequence[int], smooth: bool = False, at: Float | float = 0.0
 ) -> tuple[Float, Float]:
-    """Weights of six frames for a value and for its rate at the time `at`, each (6,) + the shape of `at`.
+    """Return the weights of six frames for a value and for its rate of change at the time `at`.
 
-    The polynomial through ``frames`` alone defines them. With `smooth`, the rate is exact only for
-    polynomials of degree four, but has less noise.
+    Both are (6,) + the shape of `at`. They follow from the polynomial through the numbers `frames` of the
+    six; the weights of the others are 0. `times` (6,) and `at` are in frame intervals from mid-time. With
+    `smooth`, the rate is exact only for polynomials of degree four, but has less noise.
     """
     used = list(frames)
     powers = np.vander(times[used], increasing=True).T
@@ -81,32 +85,41 @@ def frame_weights(
 
 
 def noise_of_displacements(weights: Float) -> Float:
-    """Weights (n, ...) of the noise variances of n successive displacements, from the weights (n, ...) of
-    the displacements. Correlation between neighbours is included.
+    """Return the weights (n, ...) of the noise variances of n displacements in the variance of a sum.
+
+    `weights` (n, ...) are the weights of the displacements, which are successive, in this sum. The
+    correlation of the noise of successive displacements, which share a frame, is included.
     """
     padded = np.pad(weights, [(1, 1), *[(0, 0)] * (weights.ndim - 1)])
     return np.asarray(weights * (weights + _NOISE_CORRELATION * (padded[:-2] + padded[2:])))
 
 
 def place_weights(frames: int) -> tuple[Float, Float]:
-    """Times of the positions along a path, and their weights in the displacement per step at mid-time."""
+    """Return the times of the positions along a path, and their weights in the velocity at mid-time.
+
+    Times are in frame intervals from mid-time; the velocity is a displacement per interval. `frames` is the
+    kind of path, a value of the variable `path_frames`.
+    """
     later = -np.diff(PATH_WEIGHTS[frames], append=0.0)
     t = np.arange(2 * len(later)) - len(later) + 0.5
     return t, np.concatenate([-later[::-1], later])
 
 
 def row_delay(name: str, geometry: GridGeometry) -> float:
-    """Delay of a rolling shutter from one row of the binned image to the next, frame intervals."""
+    """Return the delay of a camera's rolling shutter per row of the binned image, in frame intervals."""
     return dict(geometry.settings.row_delays).get(name, 0.0) * geometry.sights[name].binning
 
 
 def middle_row(sight: Sight) -> float:
-    """Middle row of the binned image, which a rolling shutter reads at the time of the frame."""
+    """Return the middle row of the binned image, which a rolling shutter reads at the time of the frame."""
     return 0.5 * (sight.camera.size[1] - 1)
 
 
 def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
-    """Delay (ny, nx) at which each camera that measures z sees the nodes, frame intervals; z in metres."""
+    """Return, by camera that measures z, the delay at which its rolling shutter sees the nodes, (ny, nx).
+
+    Delays are in frame intervals. z (ny, nx) is the elevation of the nodes, metres.
+    """
     out = {}
     for name in geometry.surface_cameras:
         sight = geometry.sights[name]
@@ -115,14 +128,17 @@ def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
 
 
 def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
-    """Mean of `lateness` over the cameras, (ny, nx); None without rolling shutters."""
+    """Return the mean over the cameras of `lateness`, (ny, nx), in frame intervals.
+
+    It is None without rolling shutters, and for a light sheet.
+    """
     if not geometry.settings.row_delays or geometry.settings.sheet_thickness is not None:
         return None
     return np.asarray(np.mean(list(lateness(z, geometry).values()), axis=0))
 
 
 def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float, Float]:
-    """Error of the elevation (ny, nx), and its horizontal shift (2, ny, nx), due to rolling shutters; metres.
+    """Return the errors that rolling shutters cause: of z (ny, nx), and in place (2, ny, nx), metres.
 
     Camera n sees a point late by tau_n, so its apparent position is off by tau_n (d_xy - D_n d_z), with the
     slope D_n of its sight line and the displacement per step d (3, ny, nx), metres.
