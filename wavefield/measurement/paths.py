@@ -173,9 +173,10 @@ _LOOSE = {"contract", "reassoc"}
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, int]:
-    """Spline coefficients of both components at the block nearest to x, y (in blocks): a first guess.
+    """Return both spline coefficients c at the block nearest to x, y, and the flat index of this block.
 
-    Also returns the flat number of that block. The outermost blocks are left out.
+    x and y are in blocks; ny and nx are the numbers of blocks. The outermost blocks are left out. The
+    coefficients serve as a first guess of the displacement.
     """
     i = np.int64(min(F(nx) - F(2), max(F(1), x + F(0.5))))  # max(1, NaN) is 1
     j = np.int64(min(F(ny) - F(2), max(F(1), y + F(0.5))))
@@ -185,14 +186,18 @@ def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _inside(nx: int, ny: int, x: Real, y: Real) -> bool:
-    """Whether x, y (in blocks) lies on the lattice; beyond it, fields are read at the edge."""
+    """Return whether x, y, in blocks, lies on the lattice of nx, ny blocks."""
     half = F(0.5)
     return bool(-half < x < F(nx) - half and -half < y < F(ny) - half)
 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _lines(c: Float, first: np.uintp, down: np.uintp, w: Weights) -> Weights:
-    """Weighted sums along x of four blocks, in four rows."""
+    """Return, for four rows, the sum of four coefficients along x with the weights w.
+
+    c holds two components in turn; `first` is the index of the first coefficient, and `down` the distance
+    from a row to the next.
+    """
     step = np.uintp(2)
     return (
         spline_line(c, first, step, w),
@@ -210,7 +215,7 @@ def _dot(a: Weights, b: Weights) -> Real:
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def displacement_at(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real]:
-    """Both components of a displacement at x, y (in blocks), from its spline coefficients c."""
+    """Return both components of a displacement at x, y, in blocks, from its spline coefficients c (flat)."""
     i, t = place_of(x, nx)
     j, s = place_of(y, ny)
     wx, wy = spline_weights(t), spline_weights(s)
@@ -222,10 +227,11 @@ def displacement_at(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real,
 def _solve_near(
     c: Float, nx: int, ny: int, part: Real, x: Real, y: Real, u: Real, v: Real
 ) -> tuple[Real, Real, Real, Real, Weights]:
-    """Find the position p with p = x - part f(p), by one Newton step from p = x - part (u, v), in blocks.
+    """Find the position p for which p + part f(p) = (x, y), by one Newton step, in blocks.
 
-    f is the displacement with the spline coefficients c. Returns p, f(p), and the derivative of p with
-    respect to x, (1 + part grad f)^-1, row by row.
+    f is the displacement with the spline coefficients c (flat). The step starts at (x, y) - part (u, v), with
+    a guess u, v of f. Returns p and f(p), two numbers each, and the four derivatives of p with respect to x,
+    y, (1 + part grad f)^-1, row by row.
     """
     px, py = x - part * u, y - part * v
     i, t = place_of(px, nx)
@@ -360,7 +366,7 @@ def path_weights(times: Float = EVEN_TIMES, frames: int = 6, at: Float | float =
 
 
 def five(steps: Sequence[Step | None]) -> Sequence[Step | None]:
-    """Pad one, three or five steps to five by None."""
+    """Return five steps, padded from one, three or five steps by None on both sides."""
     missing = [None] * (2 - len(steps) // 2)
     return [*missing, *steps, *missing]
 
@@ -413,7 +419,7 @@ class CameraDisplacements:
     axes: Float  # (N, 3): viewing direction of each camera over its distance from the field's middle, 1/m
 
     def without(self, n: int) -> CameraDisplacements:
-        """The displacements without camera n."""
+        """Return the displacements without camera number n."""
         rows, cameras = [2 * n, 2 * n + 1], n
         of_rows = ("jacobian", "moved", "noise", "missing", "chord", "bend")
         parts = {name: np.delete(getattr(self, name), rows, axis=0) for name in of_rows}
@@ -430,10 +436,12 @@ def displacements_at_nodes(
     times: Float = EVEN_TIMES,
     every: int = 1,
 ) -> CameraDisplacements:
-    """Displacements of the named cameras at every n-th node along x and y.
+    """Read the displacement of particles in the images of the cameras `names`, for the nodes at mid-time.
 
-    z (ny, nx), metres, is the elevation of all nodes at mid-time; `steps` are the MAP displacements of one,
-    three or five steps.
+    `steps` are the displacements by camera of one, three or five steps around mid-time, None if missing; the
+    middle one must have all `names`. z (ny, nx), metres, is the elevation of all nodes at mid-time.
+    `path_frames` is the kind of path (`path_weights`), and `times` (6,) of the frames are in frame intervals
+    from mid-time. With `every` above 1, the result has only each so many-th node along x and y.
     """
     z = z[::every, ::every]
     count, shape = len(names), z.shape
@@ -469,7 +477,12 @@ def displacements_at_nodes(
 def _along_path(
     path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float, weights: Float
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
-    """`read_path` for one camera at pixels X, Y, with the variances due to noise and to suppressed waves."""
+    """Return what `read_path` returns for one camera at pixels X, Y, and two variances, px^2.
+
+    They are the variance of the displacement at mid-time due to noise, and that of suppressed waves, (1 or
+    2,) + the shape of X. `path` holds the displacements of successive steps, None if missing; the middle one
+    exists.
+    """
     here = path[len(path) // 2]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]
@@ -486,10 +499,11 @@ def _along_path(
 
 @compiled(error_model="numpy")
 def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: Float, out: Float) -> None:
-    """Write the variance due to noise of n paths to out (c, n).
+    """Write the variance due to noise of n displacements, each along a path, to out (c, n).
 
-    noises (c, blocks) are the variances of five steps, block (5, n) the blocks read, -1 for steps not read.
-    The weights (5, 5, m) of the variances are given for each kind of path in `FRAMES_OF_PATH`.
+    `noises` are the variances (c, blocks) of five steps. block (5, n) holds the indices of the blocks that
+    were read, -1 for steps that were not. `weights` (5, 5, m) are those of the variances: for each kind of
+    path in `FRAMES_OF_PATH`, for each step, and for all paths (m = 1) or each (m = n).
     """
     bb, b, c, a, aa = noises
     for k in range(block.shape[1]):
@@ -509,6 +523,10 @@ def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: F
 
 
 def _places_read(block: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Number of positions along each path, 2, 4 or 6, from the blocks that were read."""
+    """Return the number of positions along each path, 2, 4 or 6.
+
+    `block` (5, ...) holds the blocks read in five steps, -1 where none was. Only complete pairs of steps, one
+    before and one after, count.
+    """
     near, far = (block[[2 - n, 2 + n]] >= 0 for n in (1, 2))
     return np.asarray(2 + 2 * near.all(axis=0) + 2 * far.all(axis=0), np.uint8)

@@ -144,7 +144,7 @@ def _learned(
     pool: ThreadPoolExecutor,
     frame_rate: float | None,
 ) -> LearnedRecord | None:
-    """`learn` with a pool of threads, from top to bottom."""
+    """Do what `learn` does, with a pool of threads: all stages in order."""
     sheet = geometry.settings.sheet_thickness is not None
     # widths of the beads, which the preparation of the images needs
     beads = _bead_widths(steps, masks, geometry, pool)
@@ -197,7 +197,7 @@ def _learned(
 
 
 def _with_pooled_fraction(priors: Mapping[str, Prior]) -> dict[str, Prior]:
-    """Priors with the mean `undetected_fraction` of all cameras, because they see the same waves."""
+    """Return the cameras' priors, all with their mean `undetected_fraction`: they see the same waves."""
     fraction = float(np.mean([prior.undetected_fraction for prior in priors.values()]))
     return {name: replace(prior, undetected_fraction=fraction) for name, prior in priors.items()}
 
@@ -219,7 +219,11 @@ class _SampleStep:
         frames: tuple[Frames, Frames],
         masks: tuple[Masks, Masks],
     ) -> _SampleStep:
-        """Prepare and match the images of a step."""
+        """Prepare the images of a step and match them, between cameras and in time.
+
+        `frames` and `masks` (True on pixels to ignore) are those of the first and the second frame, by
+        camera. `beads` are the widths of the beads by camera, raw px.
+        """
         first, second = (images_of(*one) for one in zip(frames, [geometry] * 2, [beads] * 2, masks))
         found = {
             name: matching.match(first.raw[name], second.raw[name], geometry.settings.piv)
@@ -235,7 +239,10 @@ def _bead_widths(
     geometry: GridGeometry,
     pool: ThreadPoolExecutor,
 ) -> dict[str, float]:
-    """Median width of the beads in the images of every camera, raw px; 0 without a usable frame."""
+    """Return the median width of the beads by camera, raw px, over the first frames of the steps.
+
+    It is 0 for a texture and for a camera without a usable frame. `masks` are True on pixels to ignore.
+    """
     out = {}
     for name in geometry.cameras:
         images = [(first.get(name), mask.get(name)) for (first, _), (mask, _) in zip(steps, masks)]
@@ -251,7 +258,10 @@ def _bead_widths(
 
 @dataclass(frozen=True)
 class _FieldSample:
-    """One field of a sample step: windowed, and functions that compute its MAP estimate with a prior."""
+    """One field (elevation or displacement) of a sample step, from matching with a window.
+
+    Its functions compute the most probable (MAP) field, which depends on a learned spectrum.
+    """
 
     field: Float  # (c, ny, nx): the windowed field, holes filled
     information: float  # mean over the blocks that have any
@@ -265,7 +275,10 @@ class _FieldSample:
 
 
 def _without_holes(found: elevation.ElevationEstimate | FlowEstimate) -> tuple[Float, float]:
-    """Coefficients of a field and mean information of a block, scaled to a field without holes."""
+    """Return the cosine coefficients of a MAP field and the mean information of its blocks outside holes.
+
+    The coefficients are scaled up to the variance of a field without holes.
+    """
     known = float(np.mean(found.information > 0))
     if not known:
         return found.waves, 0.0
@@ -275,7 +288,7 @@ def _without_holes(found: elevation.ElevationEstimate | FlowEstimate) -> tuple[F
 def _elevation_samples(
     steps: Sequence[_SampleStep], geometry: GridGeometry, pool: ThreadPoolExecutor, whole_beads: bool = False
 ) -> list[_FieldSample]:
-    """Elevation of the first frame of every sample step that can be measured; steps without are left out."""
+    """Return the elevation of the first frame of each sample step; steps without it are left out."""
 
     def sample_of(step: _SampleStep) -> _FieldSample | None:
         if step.pairs is None:
@@ -314,7 +327,7 @@ def _displacement_samples(
     geometry: GridGeometry,
     pool: ThreadPoolExecutor,
 ) -> list[_FieldSample]:
-    """Displacement of one camera in every sample step that can be measured."""
+    """Return the displacement of camera `name` in each sample step; steps without it are left out."""
     area = displacement_area(beads.get(name, 0.0) / geometry.sights[name].binning)
 
     def sample_of(step: _SampleStep) -> _FieldSample:
@@ -335,7 +348,7 @@ def _displacement_samples(
 
 
 def _first_spectrum(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> Prior:
-    """Prior of one kind of field: the spectrum of the windowed fields, then refined twice."""
+    """Learn the prior of one kind of field, from the spectrum of windowed fields, refined twice."""
     fields = [one.field - edge_field(one.field) for one in samples]
     typical = float(np.mean([one.information for one in samples]))
     prior = first_prior(fields, typical, samples[0].area)
@@ -345,7 +358,10 @@ def _first_spectrum(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -
 
 
 def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: ThreadPoolExecutor) -> Prior:
-    """Raise a prior to a signal-to-noise ratio, estimate the fields with it, and refine it from them."""
+    """Return the prior with the spectrum of the MAP fields that it gives.
+
+    Before these fields are computed, the prior is raised to at least `ratio` of signal to noise.
+    """
     prior = prior.with_min_signal_to_noise(ratio)
     modes = Modes(prior, samples[0].field.shape[-2:])
     waves, information = zip(*pool.map(lambda one: one.estimate(modes), samples))
@@ -355,7 +371,10 @@ def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: 
 
 
 def _elevation_prior(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> tuple[Prior, float]:
-    """Prior of the elevation, with the fraction of its spectrum that is waves, and noise of the scores."""
+    """Learn the prior of the elevation; return it and the mean variance of scores per unit of Hessian.
+
+    The prior includes the fraction of its spectrum that is waves.
+    """
     prior = _first_spectrum(samples, pool)
     information, variance, epipolar, of_scores = _summary(samples, prior, pool)
     prior = replace(prior, information=information)
@@ -364,14 +383,17 @@ def _elevation_prior(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) 
 
 
 def _summary(samples: Sequence[_FieldSample], prior: Prior, pool: ThreadPoolExecutor) -> list[float]:
-    """Mean of `summary` over the samples."""
+    """Return the mean over the samples of the four numbers of `_FieldSample.summary`, for this prior."""
     modes = Modes(prior, samples[0].field.shape[-2:])
     each = [one.summary for one in samples if one.summary]
     return [float(mean) for mean in np.mean(list(pool.map(lambda summary: summary(modes), each)), axis=0)]
 
 
 def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel) -> Float | None:
-    """Elevation at the nodes, (ny, nx), metres, averaged over both frames of a step; None if not measured."""
+    """Return the elevation at the nodes, (ny, nx), metres, averaged over both frames of a step.
+
+    It is None if either frame cannot be measured.
+    """
     if step.pairs is None:
         first = elevation.surface(step.first.flat, geometry, model)
     else:
@@ -384,7 +406,7 @@ def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel
 
 @dataclass(frozen=True)
 class _Differences:
-    """Noise, waves and shared residuals, from differences between cameras in one or several steps."""
+    """Noise and waves as the differences between the cameras' displacements show them."""
 
     noise: float = 1.0  # noise of the displacements over that which the priors predict
     waves: float = 1.0  # fraction of the displacements' spectra that is waves
@@ -394,7 +416,7 @@ class _Differences:
 
     @classmethod
     def typical(cls, steps: Sequence[_Differences]) -> _Differences:
-        """Median of each number over several steps."""
+        """Return the median of each number over several steps; the defaults without any."""
         if not steps:
             return cls()
         return cls(*map(float, np.median([astuple(one) for one in steps], axis=0)))
@@ -403,7 +425,11 @@ class _Differences:
 def _differences(
     geometry: GridGeometry, models: Mapping[str, FieldModel], step: _SampleStep, z: Float | None
 ) -> _Differences | None:
-    """Differences between the cameras in one step, at elevations z (ny, nx), metres; None if not measured."""
+    """Compare the cameras' displacements in one step, on the surface z (ny, nx), metres.
+
+    `models` are the estimators of the displacement by camera. It is None if z is None or the motion of the
+    water cannot be measured.
+    """
     if z is None:
         return None
     found = {

@@ -34,7 +34,10 @@ _ROWS_AT_ONCE = 128  # rows of a rectified image: the part of the fine grid they
 def _double(
     image: NDArray[Any], first: int, scale: np.float32, rows: NDArray[Any], out: NDArray[Any]
 ) -> None:
-    """Write the quintic B-spline of an image at whole and half pixels; out[0, 2 c] lies on (first, c)."""
+    """Write the quintic B-spline of an image at whole and half pixels to `out`.
+
+    out[0, 2 c] lies on pixel c of row `first`. `scale` is a factor on all values; `rows` is scratch.
+    """
     h, w = image.shape
     # values of the spline at distances 0, 1, 2 (a) and 1/2, 3/2, 5/2 (b)
     a0, a1, a2 = np.float32(66 / 120), np.float32(26 / 120), np.float32(1 / 120)
@@ -109,7 +112,10 @@ def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
 
 @lru_cache(maxsize=8)
 def _weights(count: int) -> NDArray[np.float32]:
-    """Weights along one axis, (3 count,), of sum 1: a Gaussian of std count / 2, averaged over count px."""
+    """Return the weights of `bin_pixels` along one axis, (3 count,), with sum 1.
+
+    They are a Gaussian with a standard deviation of count / 2 px, averaged over count px.
+    """
     x = np.arange(-count, count + 1)
     out = np.convolve(np.exp(-2.0 * np.square(x / count)), np.ones(count))
     return np.asarray(out / out.sum(), np.float32)
@@ -117,7 +123,7 @@ def _weights(count: int) -> NDArray[np.float32]:
 
 @compiled()
 def _in(y: Any, h: int) -> Any:
-    """Row y, or the nearest row of an image with h rows."""
+    """Return y limited to the rows 0 to h - 1 of an image."""
     return min(max(y, 0), h - 1)
 
 
@@ -153,20 +159,21 @@ def _bin(image: NDArray[Any], weights: NDArray[Any], count: int, half: np.float3
 
 
 def binned(camera: Camera, count: int) -> Camera:
-    """The camera that belongs to images binned by `bin_pixels`."""
+    """Return the camera with the calibration that belongs to images binned by `bin_pixels`."""
     width, height = camera.size
     return replace(camera.scaled(1.0 / count), size=(width // count, height // count))
 
 
 def _type_of_double(image: NDArray[Any]) -> np.dtype[Any]:
-    """Type of the image on the fine grid."""
+    """Return the type of an image after `_doubled`: uint16 for integers of 8 or 16 bits, else float32."""
     return np.dtype(np.uint16 if image.dtype in (np.uint8, np.uint16) else np.float32)
 
 
 def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[NDArray[Any]]:
-    """Yield the rows (first, last) of an image on a grid twice as fine: element (2 r, 2 c) is pixel (r, c).
+    """Yield parts of an image on a grid twice as fine, one part for each (first, last) of `rows`.
 
-    Every part overwrites the memory of the previous one.
+    Element (2 r, 2 c) of the fine grid lies on pixel (r, c). Each part overwrites the memory of the previous
+    one.
     """
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
@@ -182,10 +189,11 @@ def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[N
 
 
 def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, Float, NDArray[np.bool_]]:
-    """Positions X, Y (ny, nx) of points x (nx,), y (ny,) on z = 0 in a camera, on the grid of `_doubled`.
+    """Return where a camera sees the points x (nx,), y (ny,), metres, of the plane z = 0.
 
-    The third result (ny, nx) is True where the camera sees the point, at least three pixels (the reach of the
-    spline) from the edge of its image.
+    The first two results are positions X, Y (ny, nx) in units of half a pixel, as `rectify` needs them. The
+    third (ny, nx) is True where the camera sees the point, at least three pixels (the reach of the spline)
+    from the edge of its image.
     """
     X, Y = camera.project(x[None, :], y[:, None], 0.0)
     w, h = camera.size
@@ -197,7 +205,7 @@ def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, 
 
 
 def rectify(image: NDArray[Any], X: Float, Y: Float) -> NDArray[Any]:
-    """Read an image at X, Y (ny, nx) on the grid of `_doubled`; 0 where X < 0."""
+    """Read an image at the positions X, Y (ny, nx), in units of half a pixel; 0 where X < 0."""
     out = np.empty(X.shape, _type_of_double(image))
     parts = [np.s_[row : row + _ROWS_AT_ONCE] for row in range(0, len(X), _ROWS_AT_ONCE)]
     rows = [(int(Y[part].min()) // 2, min(int(Y[part].max()) // 2 + 2, len(image))) for part in parts]

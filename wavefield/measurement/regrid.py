@@ -70,7 +70,10 @@ def _push(coarse: Float, sums: Float, weight: Float, out: Float) -> None:
 
 
 def push_pull(fields: Float, valid: Mask) -> Float:
-    """Fill fields (ny, nx, F) where `valid` (ny, nx) is False, by means over successively coarser blocks."""
+    """Return fields (ny, nx, F), filled where `valid` (ny, nx) is False by means of surrounding values.
+
+    Where a hole is larger, the means are taken over larger squares.
+    """
     levels: list[tuple[Float, Float]] = [(fields, valid.astype(np.float32))]
     while min(levels[-1][1].shape) > 1 and not levels[-1][1].all():
         ny, nx = ((n + 1) // 2 for n in levels[-1][1].shape)
@@ -85,9 +88,10 @@ def push_pull(fields: Float, valid: Mask) -> Float:
 
 
 def spline_prefilter(shape: tuple[int, int]) -> Float:
-    """Gain (ny, nx) from the cosine coefficients of a field to those of its cubic-spline coefficients.
+    """Return factors (ny, nx) that turn the cosine coefficients of a field into those of its cubic spline.
 
-    It is 1 / (b_x b_y), with the gain b of a cubic B-spline at the blocks.
+    The field is on a lattice `shape` (ny, nx). The factors are 1 / (b_x b_y), with b the gain of a cubic
+    B-spline at the blocks, along x and along y.
     """
     ky, kx = (np.pi * np.arange(n) / n for n in shape)
     spline = ((2.0 + np.cos(ky)) / 3.0)[:, None] * ((2.0 + np.cos(kx)) / 3.0)
@@ -141,7 +145,10 @@ def spline_line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights, wy: Weights) -> np.float32:
-    """Value of one field from four by four coefficients, of which k is the first."""
+    """Return the value of a spline from 4 x 4 of its coefficients c (flat); the first has the index k.
+
+    `step` and `down` are the distances in c between neighbours along x and along y; wx, wy are the weights.
+    """
     return (
         wy[0] * spline_line(c, k, step, wx)
         + wy[1] * spline_line(c, k + down, step, wx)
@@ -152,7 +159,10 @@ def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def place_of(p: float, n: int) -> tuple[int, np.float32]:
-    """Split a position, in blocks, into a block and the distance beyond it; one block inside the lattice."""
+    """Split a position p, in blocks, into the number of a block and the distance from there, 0 to 1.
+
+    The position is first limited to the interior of the n blocks, one block from either end.
+    """
     lowest, highest = np.float32(1.0), np.float32(n) - np.float32(2.001)
     q = min(max(np.float32(p), lowest), highest)
     i: Any = np.int32(max(lowest, q))  # max(lowest, NaN) is lowest
@@ -170,7 +180,12 @@ def _read_along_lines(
     height: Float,
     out: Float,
 ) -> None:
-    """Write the spline's elevation (n,) at the apparent positions of points x, y, height (n,)."""
+    """Write to out (n,) the elevation that a spline has on the sight lines through n points.
+
+    The spline is read where the sight lines from the camera at `centre` through the points x, y, `height`
+    meet the plane z = 0. c are its coefficients (flat), `shape` (ny, nx) the lattice, and `lattice` the x, y
+    of its first block and the reciprocal of its step.
+    """
     x0, y0, across = lattice
     cx, cy, cz = centre
     ny, nx = shape
@@ -218,10 +233,11 @@ def _read_surface(
 def read_surface(
     spline: Float, lattice: BlockLattice, centre: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
 ) -> Float:
-    """Elevation at places x, y (ny, nx), metres, from spline coefficients on a lattice of apparent positions.
+    """Return the elevation, (ny, nx), metres, at places x, y (ny, nx) on the water, from a spline.
 
-    Solves x = x_a + D_a(x_a) z(x_a) for the apparent position x_a; with the camera centre c,
-    x_a = c + (x - c) / (1 - z / c_z).
+    The spline coefficients belong to apparent positions: the points x_a where sight lines of the reference
+    camera meet z = 0. The function solves x = x_a + D_a(x_a) z(x_a) for x_a, with D the slope of the sight
+    lines. With the camera's `centre` c, that is x_a = c + (x - c) / (1 - z / c_z).
     """
     out = np.empty(x.shape, np.float32)
     place = lattice.x0, lattice.y0, 1.0 / lattice.step
@@ -234,10 +250,11 @@ def read_surface(
 def blocks_below(
     lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Flat index of the block nearest to the apparent position of x, y, z, and whether it lies inside.
+    """Return the flat index of the block in which a camera sees each point x, y, z, and a mask.
 
-    x, y, z (ny, nx) are in metres; `centre` (3,) is the camera's. Inside means inside the lattice. Blocks at
-    its edge are never returned. Both results are (ny, nx).
+    The points (ny, nx) are in metres; `centre` (3,) is that of the camera. The block is the one nearest to
+    where the sight line meets z = 0, but never one at the edge of the lattice. The mask is True where that
+    place lies inside the lattice. Both results are (ny, nx).
     """
     shrink = 1.0 / (1.0 - z / centre[2])
     row, column = (

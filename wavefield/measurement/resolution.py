@@ -22,9 +22,11 @@ WAVENUMBERS = 200  # wavenumbers in the stored table, up to the diagonal Nyquist
 
 
 def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str, Float]:
-    """Gains of z, u, v, w as stored with a cube: ``gain_z`` ... (8, 200); NaN if unknown.
+    """Return the table of amplitude gains that is stored with a cube, by the names of its variables.
 
-    The table includes ``direction`` (8,), rad, over half a turn, and ``k`` (200,), rad/m.
+    ``gain_z``, ``gain_u``, ``gain_v`` and ``gain_w`` (8, 200) belong to ``direction`` (8,), rad, over half a
+    turn, and to wavenumbers ``k`` (200,), rad/m. They are NaN without a record; ``gain_z`` also for a light
+    sheet.
     """
     k = np.linspace(0, np.sqrt(2) * np.pi / geometry.grid.step, WAVENUMBERS)
     direction = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
@@ -68,7 +70,10 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
 
 
 def shortest_carried(geometry: GridGeometry, record: LearnedRecord) -> dict[str, float]:
-    """Wavelength at which the gain of z, u, v, w, averaged over directions, is one half, metres."""
+    """Return the wavelengths, metres, at which the gains of z, u, v and w fall to one half.
+
+    Gains are averaged over directions. If a gain is never below one half, the result is two grid steps.
+    """
     k = np.linspace(0.0, np.pi / geometry.grid.step, 600)
     angle = np.arange(8)[:, None] * np.pi / 8
     kx, ky = k * np.cos(angle), k * np.sin(angle)
@@ -80,13 +85,16 @@ def shortest_carried(geometry: GridGeometry, record: LearnedRecord) -> dict[str,
 
 
 def gain_of_elevation(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
-    """Gain of z at wavenumbers kx, ky, rad/m."""
+    """Return the amplitude gain of z at wavenumbers kx, ky, rad/m, with their shape."""
     step = BLOCK * geometry.pixel
     return np.asarray(_gain_between_blocks(record.elevation, kx * step, ky * step)[0])
 
 
 def gain_of_velocity(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
-    """Matrix S + (3, 3) from true to measured (dx, dy, dz), at wavenumbers kx, ky of shape S, rad/m."""
+    """Return the matrices from true to measured displacements (dx, dy, dz), averaged over the grid.
+
+    The result has the shape of the wavenumbers kx, ky, rad/m, plus (3, 3).
+    """
     x, y = (np.linspace(*side, 2 * PLACES + 1)[1::2] for side in (geometry.grid.x, geometry.grid.y))
     gains = [_gain_of_velocity_at(place, geometry, record, kx, ky) for place in product(x, y)]
     return np.asarray(np.mean(gains, axis=0))
@@ -95,7 +103,7 @@ def gain_of_velocity(geometry: GridGeometry, record: LearnedRecord, kx: Float, k
 def _gain_of_velocity_at(
     place: tuple[float, float], geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float
 ) -> Float:
-    """The matrix of `gain_of_velocity` at one place (x, y), metres."""
+    """Return the matrices of `gain_of_velocity` for one place (x, y), metres, instead of the whole grid."""
     jacobians: list[Any] = [
         geometry.sights[name].camera.jacobian(*place, 0.0) for name, _ in record.displacement
     ]
@@ -110,6 +118,10 @@ def _gain_of_velocity_at(
 
 
 def _gain_between_blocks(prior: Prior, qx: Float, qy: Float) -> Float:
-    """Gain (1 or c,) + S of the MAP field interpolated between blocks; wavenumbers S in rad per block."""
+    """Return the gain of a MAP field that is interpolated between blocks.
+
+    The component is the first axis of the result; the others are those of the wavenumbers qx, qy, rad per
+    block.
+    """
     gain: Float = prior.gain(qx, qy)
     return gain * interpolation_gain(qx) * interpolation_gain(qy)

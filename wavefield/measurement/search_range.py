@@ -53,7 +53,11 @@ class FirstGuess:
 def first_guess(
     read: Callable[[str, int], NDArray[np.float32] | None], cameras: Sequence[str], steps: Sequence[int]
 ) -> FirstGuess:
-    """Range of the displacements in some steps; `read(camera, frame)` returns an image or None."""
+    """Find the range of displacements in some steps, by correlating large patches of images.
+
+    `read(camera, frame)` returns an image or None. Only displacements that another patch confirms count.
+    Without any, the range is 0.
+    """
     kept: list[NDArray[np.float64]] = []
     tried = 0
     for step in steps:
@@ -72,7 +76,10 @@ def first_guess(
 
 
 def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
-    """Settings with a search range for displacements that includes the guess."""
+    """Return the settings with a search range that includes the displacements of `guess`.
+
+    The same object is returned if its range suffices.
+    """
     piv = settings.piv
     wide = guess.search(searched(settings)[0])
     if wide is None:
@@ -81,7 +88,7 @@ def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
 
 
 def searched(settings: Settings) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Range of displacements that matching in time covers, along x and y, px."""
+    """Return the displacements, px, that matching in time covers: (lowest, highest) along x and y."""
     reach = (-4.0, 4.0)  # px: what the pyramid covers without a search
     return settings.piv.search_x or reach, settings.piv.search_y or reach
 
@@ -131,10 +138,11 @@ class FirstHeights:
 
 
 def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> FirstHeights:
-    """Range of the elevations in some frames, from patches of images that are rectified to z = 0.
+    """Find the range of elevations in some frames, from patches of images that are rectified to z = 0.
 
-    Every patch is searched for in the image of another camera; `read(camera, frame)` returns an image or
-    None. The elevation follows from the parallax as in `match_pair`.
+    Each patch is searched for in the image of another camera, and its elevation follows from the parallax.
+    `read(camera, frame)` returns an image or None. Only elevations that another patch confirms count. Without
+    any, the range is 0.
     """
     kept: list[NDArray[np.float64]] = []
     tried = 0
@@ -157,8 +165,9 @@ def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> 
 
 
 def _resolution(geometry: GridGeometry) -> float:
-    """Elevation with a parallax of one coarse pixel in the middle of the grid, metres; the largest of all
-    pairs.
+    """Return the elevation that causes a parallax of one coarse pixel in the middle of the grid, metres.
+
+    It is the largest over the pairs of cameras; a coarse pixel is two rectified pixels.
     """
     x, y = float(np.mean(geometry.grid.x)), float(np.mean(geometry.grid.y))
     step = COARSE_PX * geometry.pixel
@@ -167,7 +176,10 @@ def _resolution(geometry: GridGeometry) -> float:
 
 
 def _reach(pair: tuple[str, str], geometry: GridGeometry) -> tuple[int, int]:
-    """Largest parallax along x and y of the elevations searched here, coarse px."""
+    """Return the largest parallax along x and along y for which this pair is searched, in coarse px.
+
+    The elevations are up to five times those of the geometry. A coarse pixel is two rectified pixels.
+    """
     x, y = np.meshgrid(geometry.lattice.x[[0, -1]], geometry.lattice.y[[0, -1]])
     (Ax, Ay), (Bx, By) = (geometry.rig[name].sight_line(x, y) for name in pair)
     height = SEARCH_FACTOR * max(abs(z) for z in geometry.z_range) / (COARSE_PX * geometry.pixel)
@@ -176,12 +188,12 @@ def _reach(pair: tuple[str, str], geometry: GridGeometry) -> tuple[int, int]:
 
 
 def _agreement(geometry: GridGeometry) -> float:
-    """Largest difference of two elevations that confirm each other, metres."""
+    """Return the largest difference, metres, up to which the elevations of two patches confirm each other."""
     return max(0.25 * (geometry.z_range[1] - geometry.z_range[0]), 12 * geometry.pixel)
 
 
 def _coarse(image: NDArray[Any]) -> NDArray[np.float32]:
-    """Image with coarse pixels."""
+    """Return an image with half as many rows and columns, averaged over 2 x 2 px."""
     small = cv2.resize(
         image.astype(np.float32), None, fx=1 / COARSE_PX, fy=1 / COARSE_PX, interpolation=cv2.INTER_AREA
     )
@@ -191,7 +203,11 @@ def _coarse(image: NDArray[Any]) -> NDArray[np.float32]:
 def _heights(
     moved: NDArray[np.float64], pair: tuple[str, str], geometry: GridGeometry
 ) -> NDArray[np.float64]:
-    """Elevations, metres, of the patches (n, 5) from `shifts`, without those with a large epipolar error."""
+    """Return the elevations, metres, of patches of a pair of cameras, from their displacements.
+
+    `moved` (n, 5) is the result of `shifts`, in coarse px. Patches with a large epipolar error (a
+    displacement that no elevation explains) are left out.
+    """
     step = COARSE_PX * geometry.pixel
     half = 0.5 * (COARSE_PX - 1) * geometry.pixel
     x, y = (origin + half + step * at for origin, at in zip(geometry.plane.origin, moved[:, 3:].T))
@@ -208,7 +224,10 @@ def _heights(
 
 
 def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, FirstHeights]:
-    """Settings with a range of elevations that includes those found; and `found` with this range."""
+    """Widen the range of elevations in the settings if those found fill more than 0.6 of it.
+
+    Returns the settings, and `found` with the new range; both are the same objects if the range suffices.
+    """
     low, high = found.searched
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if not found.found or all(abs(z - middle) < MAX_FILLED_RANGE * half for z in found.z):
@@ -222,7 +241,11 @@ Images = Mapping[str, NDArray[Any] | None]
 
 
 def search_widened(pairs: Sequence[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
-    """The geometry with search ranges found in the frames of some steps; the same object if they suffice."""
+    """Return the geometry with search ranges that suit some frames; the same object if they suffice.
+
+    `pairs` are the first and second frames of some steps, by camera; only the first frames give elevations.
+    Ranges that the user has set in the settings are not changed.
+    """
 
     def read(name: str, frame: int) -> NDArray[Any] | None:
         image = pairs[frame // 2][frame % 2].get(name)
@@ -246,7 +269,10 @@ MIN_FRACTION_AT_BORDER = 0.01  # fraction of the nodes there at which the range 
 
 
 def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
-    """Whether more than 1 % of the elevations z (ny, nx), metres, lie at an end of the search range.
+    """Return whether more than 1 % of the elevations z (ny, nx), metres, lie at an end of a range.
+
+    The range `searched` is (lowest, highest). At an end means within 3 % of the range from it, or beyond. NaN
+    does not count.
 
     Examples
     --------

@@ -159,7 +159,7 @@ class Settings:
         return replace(self, stereo=replace(self.stereo, **stereo), piv=replace(self.piv, **piv), **changes)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for a recipe.
+        """Return the settings as plain data, to be stored with the results.
 
         Returns
         -------
@@ -173,7 +173,7 @@ class Settings:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], path: Path | None = None) -> Settings:
-        """Inverse of `to_dict`; missing settings keep their defaults.
+        """Make settings from the data that `to_dict` returned; missing ones keep their defaults.
 
         Parameters
         ----------

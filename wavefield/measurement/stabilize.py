@@ -47,7 +47,7 @@ def refuse_unless_in_a_row(geometry: GridGeometry) -> None:
 
 
 def steady(frames: Mapping[str, Sequence[Array | None]], geometry: GridGeometry) -> dict[str, SteadyFrames]:
-    """Corrected frames of every camera; each is computed when it is first read."""
+    """Return the frames of every camera, corrected for shaking; each is computed when it is first read."""
     kept: dict[int, dict[str, Array | None]] = {}
     return {name: SteadyFrames(name, frames, geometry, kept) for name in frames}
 
@@ -79,7 +79,10 @@ class SteadyFrames(Sequence["Array | None"]):
 
 
 def corrected(images: Images, geometry: GridGeometry) -> dict[str, Array | None]:
-    """Raw images (row, column) of one instant, corrected; unchanged if the shift cannot be determined."""
+    """Return the raw images (row, column) of one instant, corrected for shaking, by camera.
+
+    All are unchanged if the shift cannot be determined, as when a camera has no usable frame.
+    """
     out = dict(images)
     for name, shift in _shifts(images, geometry).items():
         image = images[name]
@@ -89,9 +92,11 @@ def corrected(images: Images, geometry: GridGeometry) -> dict[str, Array | None]
 
 
 def _shifts(images: Images, geometry: GridGeometry) -> dict[str, Array]:
-    """Shift (3,) of every camera across the sight lines, px on the water, less the median of all cameras.
+    """Measure how far each camera's image is shifted across the sight lines, in rectified px.
 
-    The three numbers are the shift in the middle of the field, and its change to the right and upper edge.
+    A shift has three numbers: its value in the middle of the field, and its change from there to the right
+    edge and to the upper edge. The median over the cameras is subtracted. The result is empty if a camera has
+    no usable frame or too few blocks match.
     """
     flat = {}
     for name in geometry.surface_cameras:
@@ -116,26 +121,32 @@ def _shifts(images: Images, geometry: GridGeometry) -> dict[str, Array]:
 
 
 def _linear(x: Array, y: Array) -> Array:
-    """Regressors 1, x and y (..., 3), with x and y scaled to -1 ... 1."""
+    """Return 1, x and y as regressors, (..., 3), with x and y scaled to the range -1 to 1."""
     scaled = [2 * (v - v.min()) / max(np.ptp(v), 1e-9) - 1 for v in (x, y)]
     return np.stack([np.ones_like(x), *scaled], axis=-1)
 
 
 def _huber(residual: Array) -> Array:
-    """Square roots of Huber's weights with a bound of two robust standard deviations."""
+    """Return the square roots of Huber's weights of residuals.
+
+    Weights are below 1 for residuals beyond two robust standard deviations.
+    """
     miss = np.abs(residual)
     bound = 2.0 * (PER_MEDIAN * np.median(miss) + 1e-9)
     return np.asarray(np.sqrt(np.minimum(1.0, bound / np.maximum(miss, 1e-12))))
 
 
 def _across(geometry: GridGeometry, pair: tuple[str, str], x: Any, y: Any) -> Array:
-    """Unit vectors (2, ...) across the sight lines of a pair; eps_y is x_b - x_a along them."""
+    """Return unit vectors (2, ...) across the sight lines of a pair of cameras, at x, y on the water, metres.
+
+    The epipolar error eps_y of the pair (a, b) is the component of x_b - x_a along them.
+    """
     dx, dy = parallax(geometry.rig, pair, x, y)
     return np.asarray(np.stack([-dy, dx]) / np.maximum(np.hypot(dx, dy), 1e-12))
 
 
 def _moved_back(image: Array, shift: Array, name: str, geometry: GridGeometry) -> Array:
-    """Shift a raw image (row, column) back by its camera's motion (3,), given as in `_shifts`."""
+    """Return a raw image (row, column) of the camera `name`, moved back by its shift (3,) from `_shifts`."""
     x, y = np.meshgrid(geometry.lattice.x, geometry.lattice.y)
     size = (_linear(x, y) @ shift * geometry.pixel)[::8, ::8].ravel()
     x, y = x[::8, ::8].ravel(), y[::8, ::8].ravel()

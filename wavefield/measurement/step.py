@@ -161,12 +161,12 @@ def measure(
 
 
 def _pair(frames: Series, k: int) -> tuple[dict[str, NDArray[Any] | None], dict[str, NDArray[Any] | None]]:
-    """Frames k and k + 1 of every camera."""
+    """Return frames k and k + 1 of every camera, as two dicts by camera."""
     return {n: f[k] for n, f in frames.items()}, {n: f[k + 1] for n, f in frames.items()}
 
 
 def _empty(steps: int, geometry: GridGeometry) -> dict[str, NDArray[Any]]:
-    """Fields of the cube without values: NaN or 0, status failed."""
+    """Return the fields of a cube for so many steps, without values: NaN or 0, and the status failed."""
     out: dict[str, NDArray[Any]] = {}
     for name in CUBE_FIELDS:
         dtype = np.dtype(TABLE[name].dtype)
@@ -184,7 +184,12 @@ def _fill_step(
     frame_rate: float,
     times: Float,
 ) -> None:
-    """Fill the fields (ny, nx) and the status (1,) of one step; nodes that cannot be measured stay NaN."""
+    """Measure one step and write its fields and its status into the arrays of `out`.
+
+    `window` holds the six instants around the step, and `moves` the displacements of the steps between them.
+    `times` (6,) are in frame intervals from mid-time. Nodes that are masked or outside a camera's view stay
+    NaN, and so do all nodes if too few are measured.
+    """
     _, before, first, second, after, _ = window
     missing = first.images.missing | second.images.missing
     out["quality"] |= _left_out_bits(missing, geometry)
@@ -222,7 +227,7 @@ def _fill_step(
 
 
 def _left_out_bits(cameras: Collection[str], geometry: GridGeometry) -> np.uint16:
-    """Bits of `Quality` for nodes that were measured without these cameras."""
+    """Return the bits of `Quality` that say that nodes were measured without these cameras."""
     bits = Quality(0)
     for name in cameras:
         bits |= Quality.without(geometry.cameras.index(name))
@@ -230,14 +235,17 @@ def _left_out_bits(cameras: Collection[str], geometry: GridGeometry) -> np.uint1
 
 
 def _out_of_range(surfaces: Surfaces, geometry: GridGeometry) -> Mask:
-    """True for nodes at which one of the surfaces lies outside the search range, (ny, nx)."""
+    """Return a mask (ny, nx), True for nodes at which a surface lies outside the search range of z."""
     lowest, highest = geometry.z_range
     outside = [(one.z < lowest) | (one.z > highest) for one in surfaces if one is not None]
     return np.asarray(np.logical_or.reduce(outside))
 
 
 def _quality(estimate: StepEstimate, out_of_range: Mask) -> NDArray[np.uint16]:
-    """Bits of `Quality` of a step, (ny, nx), except those for masked nodes and nodes outside the view."""
+    """Return the bits of `Quality` of a step, (ny, nx), except those for masked or invisible nodes.
+
+    `out_of_range` (ny, nx) is a mask of nodes whose elevation lies outside the search range.
+    """
     first, second = estimate.nearest
     quality = first.quality | second.quality | estimate.motion.quality
     quality[out_of_range] |= np.uint16(Quality.REJECTED_RANGE | Quality.FILLED)
@@ -255,7 +263,10 @@ def _fields(
     frame_rate: float,
     times: Float,
 ) -> dict[str, Float]:
-    """Fields of a step, (ny, nx), in the cube's units."""
+    """Return the fields of a step by name, (ny, nx), in the cube's units, and `uncertainty_terms`.
+
+    The latter are (terms, 4, ny, nx). `times` (6,) of the frames are in frame intervals from mid-time.
+    """
     first, second = estimate.nearest
     motion, z, rise = estimate.motion, estimate.mid_time.z, estimate.mid_time.rise
     d = motion.d.copy()
@@ -290,7 +301,7 @@ class Instant:
     _without: dict[str, Surface | None] = field(default_factory=dict)
 
     def without(self, camera: str, geometry: GridGeometry, model: Model) -> Surface | None:
-        """Surface measured without one camera."""
+        """Return the surface measured without one camera, None if it cannot be; stored for later calls."""
         if camera not in self._without:
             rest = {name: image for name, image in self.frames.items() if name != camera}
             ready_frames = usable_frames(rest, geometry, dict(model.record.beads), self.masks)
@@ -299,14 +310,17 @@ class Instant:
         return self._without[camera]
 
     def without_images(self) -> Instant:
-        """The instant without its images for matching in time, which take most of the memory."""
+        """Return the instant without its images for matching in time, which take most of the memory."""
         return replace(self, images=replace(self.images, raw={}))
 
 
 def measure_instant(
     frames: Frames, geometry: GridGeometry, model: Model, masks: Masks | None = None
 ) -> Instant:
-    """Elevation and prepared images of one instant; masks are True on pixels to ignore."""
+    """Measure the elevation of one instant, and prepare its images for matching in time.
+
+    `frames` are raw images by camera, None if missing; `masks` are True on pixels to ignore.
+    """
     masks = masks or {}
     covered = covered_in(masks, geometry)
     ready_frames = usable_frames(frames, geometry, dict(model.record.beads), masks)
@@ -322,9 +336,11 @@ def estimate_step(
     model: Model,
     times: Float,
 ) -> StepEstimate | None:
-    """Surfaces and motion of a step, without a camera that contradicts the others; None if not measured.
+    """Estimate elevation and motion of a step, without a camera that contradicts the others.
 
-    Times of the six frames are in intervals from mid-time.
+    `window` holds the six instants around the step, and `moves` the displacements of the steps between them.
+    `times` (6,) of the frames are in frame intervals from mid-time. The result is None if it cannot be
+    measured.
     """
     surfaces: Surfaces = [instant.surface for instant in window]
     estimate = _estimate(surfaces, moves, geometry, model.record.path_frames, times)
@@ -350,9 +366,10 @@ def _estimate(
     times: Float,
     may_leave_out: bool = True,
 ) -> StepEstimate | None:
-    """Motion and surface at mid-time; None if not measured.
+    """Estimate elevation and motion at mid-time; None if fewer than two cameras have displacements.
 
-    With rolling shutters both are computed again, because each depends on the other.
+    With rolling shutters, both are computed again, because the correction of each depends on the other. If
+    `may_leave_out` is True, a camera that contradicts the others is left out of the motion.
     """
     first, second = surfaces[AROUND : AROUND + 2]
     assert first is not None
@@ -379,12 +396,16 @@ def _estimate(
 
 
 def _departure(orders: Sequence[Float], frames: NDArray[np.uint8]) -> float:
-    """`MidTime.departure`: robust variance of z from six frames minus z from four, m^2; 0 without six."""
+    """Return the robust variance, over the nodes, of z from six frames minus z from four, m^2.
+
+    `orders` are the elevations and `frames` (ny, nx) the numbers of frames from `z_at_mid_time`. The result
+    is 0 without six frames.
+    """
     return robust_std((orders[0] - orders[1])[frames == 6]) ** 2 if len(orders) > 2 else 0.0
 
 
 def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float:
-    """Elevation (ny, nx), metres, corrected for rolling shutters (`elevation_errors`)."""
+    """Return the elevation z (ny, nx), metres, corrected for the errors that rolling shutters cause."""
     measured = np.isfinite(motion.d).all(axis=0)
     error, (x, y) = elevation_errors(z, np.where(measured, motion.d, 0.0), geometry)
     z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))

@@ -33,13 +33,13 @@ njit = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 
 @njit
 def _row(jacobian: Float, i: int, k: int) -> tuple[Any, Any, Any]:
-    """Row i of the Jacobian at node k, in double precision."""
+    """Return row i of a Jacobian (2N, 3, n) at node k, in double precision."""
     return np.float64(jacobian[i, 0, k]), np.float64(jacobian[i, 1, k]), np.float64(jacobian[i, 2, k])
 
 
 @njit
 def _factored(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Matrix:
-    """Factorise (L D L^T) a normal matrix [[a, b, c], [b, d, e], [c, e, f]].
+    """Factorise the matrix of normal equations [[a, b, c], [b, d, e], [c, e, f]] as L D L^T.
 
     Returns 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1, with the pivots a, d1, f1. The last is NaN if the cameras do not
     determine all three directions.
@@ -54,7 +54,7 @@ def _factored(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Matrix:
 
 @njit
 def _solved(matrix: Matrix, p: Any, q: Any, r: Any) -> tuple[Any, Any, Any]:
-    """Solution of a factored system for the right side (p, q, r)."""
+    """Return the solution of a system for the right side (p, q, r); `matrix` comes from `_factored`."""
     a, b, c, d, e, f = matrix
     q1 = q - b * p
     z = (r - c * p - e * q1) * f
@@ -74,12 +74,13 @@ def solve_nodes(
     axes: Float,
     out: Float,
 ) -> None:
-    """Solve for the motion at n nodes and write it to out (16, n).
+    """Solve for the motion of the water at n nodes, seen by N cameras, and write it to out (16, n).
 
-    The rows of out are: d, chord, bend, and the noise variance of d (three each); the variance of suppressed
-    waves over `parts`; eps = |J d - moved| / sqrt(2N); chi^2 per degree of freedom; and the factor, at least
-    1, by which it enlarges the noise. jacobian is (2N, 3, n) and the other fields are (2N, n), float32; parts
-    (3,) and axes (N, 3) are float64.
+    The rows of `out` are, in threes, the displacement d at mid-time, the chord, the bend, and the variance of
+    d due to noise. One row each follows: the variance of suppressed waves over `parts`; the misfit |J d -
+    moved| / sqrt(2N); chi^2 per degree of freedom; and the factor, at least 1, by which chi^2 enlarges the
+    noise. The fields are float32: `jacobian` J is (2N, 3, n), `moved`, `chord`, `bend`, `noise` and `missing`
+    are (2N, n), as in `CameraDisplacements`. `parts` (3,) and `axes` (N, 3) are float64.
     """
     rows, n = moved.shape
     weight = np.empty(rows)
@@ -174,11 +175,12 @@ def velocity(
     may_leave_out: bool = True,
     times: Float = EVEN_TIMES,
 ) -> Motion | None:
-    """Motion of the water at the nodes at mid-time; None if fewer than two cameras have displacements.
+    """Compute the motion of the water at the nodes at mid-time, by least squares over the cameras.
 
-    d = argmin sum w (J d - dX)^2, with the 2N x 3 Jacobian J of N cameras at elevation z (ny, nx), metres, at
-    mid-time, and the image velocity dX per step there (`read_path`). dX/dt = J dx/dt is exact, whereas finite
-    displacements would need the curvature of the projection. The rms misfit is eps' = |J d - dX| / sqrt(2N).
+    It is None if fewer than two cameras have displacements. The motion d minimises sum w (J d - dX)^2, with w
+    the weights, J the 2N x 3 Jacobian of N cameras on the surface z (ny, nx), metres, at mid-time, and dX the
+    image velocity per step there (`read_path`). dX/dt = J dx/dt is exact, whereas finite displacements would
+    need the curvature of the projection. The rms misfit is eps' = |J d - dX| / sqrt(2N).
 
     The noise of the cameras is independent. The waves that the prior suppresses are the same in all cameras,
     so averaging does not reduce their variance; it is divided among the components
@@ -217,9 +219,10 @@ def mean_flow(
     path_frames: int,
     times: Float = EVEN_TIMES,
 ) -> tuple[float, float] | None:
-    """Median displacement (dx, dy) of the water over the step, metres, from some of the nodes.
+    """Return the median displacement (dx, dy) of the water over a step, metres, from some of the nodes.
 
-    It is None if fewer than two cameras have displacements, and 0 if no node was measured.
+    It is None if fewer than two cameras have displacements, and 0 if no node was measured. The arguments are
+    those of `velocity`.
     """
     names = _cameras(steps)
     if len(names) < 2:
@@ -234,15 +237,15 @@ def mean_flow(
 
 
 def _cameras(steps: Sequence[Flows | None]) -> list[str]:
-    """Names of the cameras with a displacement in the middle one of the steps."""
+    """Return the names of the cameras that have a displacement in the middle one of these steps."""
     return list(steps[len(steps) // 2] or {})
 
 
 def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
-    """Solve for the motion by least squares over the cameras; no camera is left out.
+    """Compute the motion of the water by least squares over all cameras of `displacements`.
 
-    `parts` (3,) are the relative variances of u, v, w in the waves that the prior suppresses
-    (`component_variances`).
+    `parts` (3,) are the relative variances of u, v, w (`component_variances`) in the waves that the prior
+    suppresses.
     """
     names = ("jacobian", "moved", "chord", "bend", "noise", "missing")
     fields = {name: np.ascontiguousarray(getattr(displacements, name), np.float32) for name in names}
@@ -271,14 +274,17 @@ def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
 
 
 def component_variances(settings: Settings) -> Float:
-    """Relative variances (3,) of u, v, w in suppressed motion: those of waves; equal in a light sheet."""
+    """Return the relative variances (3,) of u, v, w in motion that the prior suppresses.
+
+    They are those of deep-water waves, or equal for a light sheet.
+    """
     return WAVE_VARIANCES if settings.sheet_thickness is None else np.ones(3)
 
 
 def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:
-    """Variance in each camera, (N, ny, nx), px^2, of motion with component variances `parts` (3,), m^2.
+    """Return the variance, px^2, that motion of the water causes in each camera's image, (N, ny, nx).
 
-    It is the mean over both image components.
+    `parts` (3,) are the variances of dx, dy, dz, m^2. The result is the mean over both image components.
     """
     square = np.einsum("kiyx,i->kyx", np.square(displacements.jacobian), parts)
     return np.asarray(0.5 * (square[::2] + square[1::2]))
