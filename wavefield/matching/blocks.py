@@ -32,12 +32,15 @@ def gaussian(sigma: float) -> np.ndarray:
 
 
 def window_sigma(window: float) -> float:
-    """Standard deviation, in blocks, of the Gaussian window with the area of a square of side `window` px."""
+    """Return the standard deviation, in blocks, of the Gaussian window for the setting `window`, px.
+
+    `window` is the side of a square with the area of the Gaussian.
+    """
     return float(window / np.sqrt(4 * np.pi) / BLOCK)
 
 
 def window_weights(window: float) -> np.ndarray:
-    """Weights over blocks of the Gaussian window with the area of a square of side `window` px."""
+    """Return the weights over blocks, along one axis, of the Gaussian window for the setting `window`, px."""
     return gaussian(window_sigma(window))
 
 

@@ -476,7 +476,7 @@ def _multiply_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom
 
 
 def edge_field(field: Float) -> Float:
-    """Smooth field with the same slopes at the edges as a given field.
+    """Return a smooth field that has the same slopes at the edges as the given field.
 
     Parameters
     ----------

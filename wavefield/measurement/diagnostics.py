@@ -72,16 +72,16 @@ class Diagnosis:
 
     @property
     def difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
-        """Elevation from one pair minus that from another, metres, (ny, nx)."""
+        """Elevation from one pair of cameras minus that from another, (ny, nx), metres; for each two."""
         return {(p, q): self.z[p] - self.z[q] for p, q in combinations(self.z, 2)}
 
     @property
     def moved_difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
-        """Displacement from one pair minus that from another, metres, (3, ny, nx)."""
+        """Displacement by one pair of cameras minus that by another, (3, ny, nx), metres; for each two."""
         return {(p, q): self.moved[p] - self.moved[q] for p, q in combinations(self.moved, 2)}
 
     def table(self) -> list[dict[str, Any]]:
-        """Table with the rms of every error.
+        """Return a table with the rms of every error.
 
         Returns
         -------

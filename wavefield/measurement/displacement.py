@@ -40,7 +40,7 @@ class CameraFlow:
 
     @cached_property
     def valid(self) -> NDArray[np.bool_]:
-        """(ny, nx): True for blocks that were measured."""
+        """Mask (ny, nx), True for blocks that were measured."""
         return np.asarray(self.rejected == 0)
 
 

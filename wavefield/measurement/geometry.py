@@ -376,7 +376,7 @@ class GridGeometry:
 
     @cached_property
     def covered_nodes(self) -> NDArray[np.bool_]:
-        """True for nodes inside or on an outline in `covered`, (ny, nx)."""
+        """Mask (ny, nx), True for nodes inside or on one of the outlines in `covered`."""
         out = np.zeros(self.x.shape, bool)
         for outline in self.covered:
             line = np.array(outline, np.float32)
@@ -387,7 +387,7 @@ class GridGeometry:
         return out
 
     def stereo_settings(self, pair: Pair) -> MatchSettings:
-        """Settings for matching a pair, with the search range that follows from `z_range`."""
+        """Return the settings for matching a pair, with the search range that follows from `z_range`."""
         a, b = (self.rig[name] for name in pair)
         xa, ya = np.meshgrid(self.lattice.x[[0, -1]], self.lattice.y[[0, -1]])
         ends = []

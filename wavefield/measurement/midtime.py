@@ -21,7 +21,7 @@ Surfaces = Sequence[Surface | None]
 
 @dataclass(frozen=True)
 class MidTime:
-    """The surface at mid-time of a step."""
+    """The surface at mid-time of a step, half-way between its two frames."""
 
     z: Float  # (ny, nx): elevation, metres
     rise: Float  # (ny, nx): rise per step of the particle that is at the node at mid-time, metres
@@ -42,7 +42,7 @@ class StepEstimate:
 
     @property
     def nearest(self) -> tuple[Surface, Surface]:
-        """Surfaces of the step's own two frames."""
+        """The surfaces of the two frames between which the step lies."""
         first, second = self.surfaces[AROUND : AROUND + 2]
         assert first is not None
         assert second is not None

@@ -109,7 +109,7 @@ class FieldModel:
 
     @cached_property
     def modes(self) -> Modes:
-        """Cosine modes of the field."""
+        """Cosine modes of the field, and the solver for them."""
         with one_thread():
             return Modes(self.prior, self._shape, self._inner)
 
@@ -210,7 +210,7 @@ OSCILLATION_RATIO = 0.7  # solutions oscillate if a change exceeds this fraction
 
 
 class Convergence:
-    """Decides when the solutions of a MAP field have converged; `scale` is px per unit of the field."""
+    """Decides when successive solutions of a field have converged; `scale` is px per unit of the field."""
 
     def __init__(self, scale: float = 1.0) -> None:
         self._scale, self._evaluations, self._change = scale, 0, np.inf

@@ -26,7 +26,7 @@ MIN_NODES = 50  # fewest nodes for a median
 
 
 def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
-    """Index of the only camera without which the others agree; None if there is none or more than one.
+    """Return the index of the only camera without which the others agree; None if not exactly one.
 
     `misfit` is the median chi^2 per degree of freedom with all cameras, and `misfit_without(n)` that without
     camera n. A camera that moved along a line of three cameras cannot be identified: whichever is left out,

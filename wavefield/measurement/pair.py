@@ -36,12 +36,12 @@ class PairMatch:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """True for valid blocks, (ny, nx)."""
+        """Mask (ny, nx), True for valid blocks."""
         return np.asarray(self.rejected == 0)
 
     @property
     def height(self) -> Float:
-        """Elevation z = -dD . d / |dD|^2, (ny, nx), metres."""
+        """Elevation z = -dD . d / |dD|^2, (ny, nx), metres, from the difference d and the parallax dD."""
         out: Float = -np.sum(self.parallax * self.difference, axis=0)
         out /= np.sum(np.square(self.parallax), axis=0)
         return out

@@ -342,10 +342,13 @@ def _read_path(
 
 
 def path_weights(times: Float = EVEN_TIMES, frames: int = 6, at: Float | float = 0.0) -> Float:
-    """Weights (5, 2, 5, m) of the five displacements along a path, at m times `at`.
+    """Return the weights (5, 2, 5, m) of five successive displacements along a path, at m times `at`.
 
-    The first axis is the kind of path in `FRAMES_OF_PATH`. The second axis has the weights for the way from
-    the position in the step's first frame to that at `at`, and for the displacement per interval at `at`.
+    Times are in frame intervals from mid-time. If `frames` is 6, paths through six frames are smooth, with
+    less noise; otherwise they are exact. The first axis stands for the frames that are there
+    (`FRAMES_OF_PATH`). The second axis has the weights for the way from the position in the step's first
+    frame to the position at `at`, and for the displacement per interval at `at`. The third axis is the
+    displacement.
 
     Let X0 and X be the positions in the first frame and at mid-time, and d01 the displacement of the step.
     The polynomial through four evenly spaced positions gives X0 = X - d01/2 + (d12 - d-10)/16 and
@@ -379,7 +382,7 @@ def read_path(
     Y: Float,
     weights: Float | None = None,
 ) -> tuple[Float, NDArray[np.int64]]:
-    """Motion of the particles that are at pixels X, Y at mid-time, and the blocks that were read.
+    """Return the motion of the particles that are at pixels X, Y at mid-time, and the blocks read for it.
 
     Returns (6,) + the shape of X, px: dX/dt dt at mid-time, the displacement over the step (chord), and the
     mean position in the step's two frames minus that at mid-time (bend), each along X and Y. Also returns

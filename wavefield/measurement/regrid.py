@@ -38,7 +38,7 @@ class BlockLattice:
 
 @compiled()
 def _pull(fields: Float, weight: Float, sums: Float, total: Float) -> None:
-    """Sum fields and weights over squares of two by two blocks, without blocks of zero weight."""
+    """Write to `sums` and `total` the sums of fields and weights over 2 x 2 blocks that have a weight."""
     sums[:] = 0
     total[:] = 0
     for j in range(weight.shape[0]):

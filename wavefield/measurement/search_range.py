@@ -28,7 +28,7 @@ class FirstGuess:
     tried: int  # patches that were searched for
 
     def search(self, usual: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Search ranges along x and y, px; None if the usual range suffices or no patch was found."""
+        """Return the ranges to search along x and y, px; None if `usual` suffices or no patch was found."""
         if not self.found:
             return None
         if all(low >= usual[0] and high <= usual[1] for low, high in (self.x, self.y)):

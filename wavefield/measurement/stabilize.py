@@ -137,7 +137,7 @@ def _huber(residual: Array) -> Array:
 
 
 def _across(geometry: GridGeometry, pair: tuple[str, str], x: Any, y: Any) -> Array:
-    """Return unit vectors (2, ...) across the sight lines of a pair of cameras, at x, y on the water, metres.
+    """Return unit vectors (2, ...) across the sight lines of a pair of cameras, at x, y on z = 0, metres.
 
     The epipolar error eps_y of the pair (a, b) is the component of x_b - x_a along them.
     """
