@@ -44,9 +44,7 @@ class Product:
 
 def identity_of(*parts: object) -> str:
     """Return sixteen hexadecimal digits, a hash of `parts`, that identify data.
-
-    The parts are values that `json.dumps` accepts; others are hashed as `str` writes them.
-    """
+    The parts are values that `json.dumps` accepts; others are hashed as `str` writes them."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
@@ -61,10 +59,8 @@ def file_names(folder: Path) -> list[str]:
 
 def read_mark(path: Path) -> Product | None:
     """Return the kind and source in the mark of a file or Zarr store of wavefield, as a `Product`.
-
     None if there is no mark, or if the content was changed since the mark was written. StoreError if the user
-    may not read it.
-    """
+    may not read it."""
     try:
         if path.is_dir():
             mark = json.loads((path / "zarr.json").read_bytes())["attributes"][MARK_ATTRIBUTE]
@@ -131,10 +127,8 @@ def _digest(path: Path) -> str:
 
 def check_replaceable(path: Path, product: Product | None = None, replace: bool = False) -> None:
     """Raise StoreError if something at `path` must not be replaced.
-
     An empty folder may be replaced, and so may an unchanged output with the mark `product`. With `replace`
-    any plain file may be replaced. Links, pipes and devices must not be replaced.
-    """
+    any plain file may be replaced. Links, pipes and devices must not be replaced."""
     try:
         mode = os.lstat(path).st_mode
     except FileNotFoundError:
@@ -165,9 +159,7 @@ def check_replaceable(path: Path, product: Product | None = None, replace: bool 
 
 def refuse_input(path: Path, *inputs: object) -> None:
     """Raise StoreError if `path` is one of `inputs`, or is inside one of them that is a Zarr store.
-
-    Inputs are what the same command reads; those that are not paths are ignored.
-    """
+    Inputs are what the same command reads; those that are not paths are ignored."""
     for one in inputs:
         if not isinstance(one, str | Path):
             continue
@@ -183,12 +175,10 @@ def atomic(
     path: str | Path, product: Product | None = None, *, replace: bool = False, inputs: Iterable[object] = ()
 ) -> Iterator[Path]:
     """Context manager: yield a temporary path for an output, which is renamed to `path` at the end.
-
     If the block raises, `path` stays as it was. With a `product` the output gets its mark, and an output at
     `path` is replaced only if it has the same mark and is unchanged. Without a product no output is replaced,
     but `replace` allows to replace any plain file. `inputs` are files that the same command reads. Raises
-    StoreError if `path` must not be replaced, is an input, or cannot be written.
-    """
+    StoreError if `path` must not be replaced, is an input, or cannot be written."""
     path = Path(path)
     with writing(path):
         refuse_input(path, *inputs)
@@ -213,9 +203,7 @@ def atomic(
 @contextmanager
 def _draft_folder(path: Path) -> Iterator[Path]:
     """Context manager: yield a new, locked folder next to `path` for an unfinished output.
-
-    It first removes such folders that killed processes have left. At the end the folder is removed.
-    """
+    It first removes such folders that killed processes have left. At the end the folder is removed."""
     remove_leftovers(path)
     folder = path.with_name(f"{_DRAFT}{uuid.uuid4().hex}")  # named before a signal may interrupt
     try:
@@ -248,9 +236,7 @@ def _put_back(folder: Path, path: Path) -> None:
 
 def remove_leftovers(path: Path) -> None:
     """Remove the unfinished outputs that killed processes have left next to `path`.
-
-    An earlier output that such a process had moved away is put back.
-    """
+    An earlier output that such a process had moved away is put back."""
     with suppress(OSError):
         for entry in list(os.scandir(path.parent)):
             if not entry.name.startswith(_DRAFT):
@@ -266,9 +252,7 @@ def remove_leftovers(path: Path) -> None:
 
 def make_durable(paths: Iterable[Path]) -> None:
     """Wait until files and folders are on the disk (fsync).
-
-    Missing or unreadable ones are skipped. OSError if the disk fails.
-    """
+    Missing or unreadable ones are skipped. OSError if the disk fails."""
     for path in paths:
         try:
             number = os.open(path, os.O_RDONLY)
@@ -285,9 +269,7 @@ def make_durable(paths: Iterable[Path]) -> None:
 
 def write_text(path: str | Path, text: str, product: Product | None = None, *, replace: bool = False) -> None:
     """Write a text file (UTF-8), completely or not at all.
-
-    `product`, `replace` and errors are as for `atomic`.
-    """
+    `product`, `replace` and errors are as for `atomic`."""
     with atomic(path, product, replace=replace) as draft:
         draft.write_text(text, encoding="utf-8")
 
@@ -296,9 +278,7 @@ def check_writable(
     path: str | Path, product: Product | None = None, *, inputs: Iterable[object] = ()
 ) -> None:
     """Raise StoreError if `atomic` could not write `path` with the same arguments.
-
-    The folder that is to contain `path` is made if it does not exist.
-    """
+    The folder that is to contain `path` is made if it does not exist."""
     path = Path(path)
     with writing(path):
         refuse_input(path, *inputs)

@@ -21,11 +21,10 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 
 def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
     """Decorator: compile a loop over plain arrays with numba, and keep the compiled code on disk.
-
     Each numba type in `signature` is compiled when the decorator is applied; without a signature the loop is
     compiled at its first call. `options` are those of `numba.njit`. The loop runs without the GIL. Several
-    processes may compile at the same time. If the disk cannot be written, each process compiles for itself.
-    """
+    processes may compile at the same time. If the disk cannot be written, each process compiles for
+    itself."""
     njit: Any = numba.njit  # its type hints do not accept options as a mapping
 
     def decorate(loop: Loop) -> Loop:
@@ -49,10 +48,8 @@ def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
 
 class _CompiledFiles:
     """The files with the compiled code of one loop, one file for each combination of argument types.
-
     It replaces numba's numbered files and their index. A file is named by a hash of sources, types and
-    processor, so processes need no lock. Damaged files are not used.
-    """
+    processor, so processes need no lock. Damaged files are not used."""
 
     def __init__(self, folder: Path, base: str, loop: Callable[..., object]) -> None:
         self._folder, self._base = folder, base
@@ -60,9 +57,7 @@ class _CompiledFiles:
 
     def save(self, key: object, data: object) -> None:
         """Write compiled code (`data`) to the file for `key`, numba's key of argument types and processor.
-
-        Files compiled from earlier sources are removed. If the disk cannot be written, do nothing.
-        """
+        Files compiled from earlier sources are removed. If the disk cannot be written, do nothing."""
         content = serialize.dumps((self._identity(key), data))
         path = self._path(key)
         new = path.with_name(f"{path.name}.tmp.{uuid.uuid4().hex[:16]}")
@@ -79,9 +74,7 @@ class _CompiledFiles:
 
     def load(self, key: object) -> Any:
         """Return the compiled code for `key`, numba's key of argument types and processor.
-
-        None if its file is absent or damaged.
-        """
+        None if its file is absent or damaged."""
         try:
             stored = self._path(key).read_bytes()
         except OSError:
@@ -108,9 +101,7 @@ class _CompiledFiles:
 @functools.cache
 def _digest_of_sources(folder: Path) -> str:
     """Return a digest of all sources in a folder that contain compiled loops.
-
-    A change of one source changes it for all, because compiled loops contain the loops they call.
-    """
+    A change of one source changes it for all, because compiled loops contain the loops they call."""
     digest = hashlib.sha256()
     for path in sorted(folder.glob("*.py")):
         source = path.read_bytes()

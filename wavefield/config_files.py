@@ -83,10 +83,8 @@ class ConfigSection(BaseModel):
 
 def load(kind: type[T], path: Path, data: Mapping[str, object] | None = None) -> T:
     """Return a YAML file as a section (pydantic model or dataclass) of type `kind`, with checked values.
-
     `data` is the content of the file if the caller has read it already. ExperimentError if the content is
-    wrong; the message names the line and the remedy.
-    """
+    wrong; the message names the line and the remedy."""
     return make(kind, read_yaml(path) if data is None else data, path=path)
 
 
@@ -100,11 +98,9 @@ def make(
     error: type[WavefieldError] = ExperimentError,
 ) -> T:
     """Return plain data as a section (pydantic model or dataclass) of type `kind`, with checked values.
-
     Raises `error`, with up to four problems, if the data are wrong. The other arguments serve its message:
     `path` is the file that the data come from, `location` the keys that lead to the data in this file, `name`
-    the name of the data without a file.
-    """
+    the name of the data without a file."""
     try:
         made = TypeAdapter(kind).validate_python(dict(data))
     except WavefieldError as found:  # a section's own sentence
@@ -130,9 +126,7 @@ def make(
 
 def _joined(messages: Sequence[tuple[str, str]]) -> str:
     """Return one message from problems, pairs (place, words), of which the first four are listed.
-
-    Each place is named once, and so is each list of known keys.
-    """
+    Each place is named once, and so is each list of known keys."""
     by_place: dict[str, list[str]] = {}
     listed: set[str] = set()
     for where, words in messages[:_MAX_MESSAGES]:
@@ -149,10 +143,8 @@ def _booleans_as_numbers(
     data: object, made: object, place: tuple[Key, ...] = ()
 ) -> Iterator[tuple[Key, ...]]:
     """Yield the place, as a tuple of keys, of each true or false that became a number.
-
     `data` are the values as read from the file, `made` is the section that was made from them, and `place` is
-    where both are in the file.
-    """
+    where both are in the file."""
     if isinstance(data, bool):
         if isinstance(made, int | float) and not isinstance(made, bool):
             yield place
@@ -207,10 +199,8 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the content of a YAML file that holds a mapping.
-
     ExperimentError if the file cannot be read or is not a mapping, if a key is repeated, or if a backslash in
-    double quotes has broken a path.
-    """
+    double quotes has broken a path."""
     node = _compose(path)
     if not isinstance(node, yaml.MappingNode):
         raise ExperimentError(f"{path} is not a list of `key: value` lines; see the example in the README")
@@ -316,10 +306,8 @@ def file_and_line(path: Path, location: Sequence[Key]) -> str:
 
 def _line(node: yaml.Node | None, location: Sequence[Key]) -> int | None:
     """Return the line number, from 1, of a value in a YAML file; None if none of its keys is found.
-
     `node` is the file's content and `location` the keys and indices that lead to the value. If the last of
-    them are not in the file, it is the line of the deepest one that is.
-    """
+    them are not in the file, it is the line of the deepest one that is."""
     line = None
     for step in location:
         found = None
@@ -348,9 +336,7 @@ def _sentence(
     name: str,
 ) -> tuple[str, str]:
     """Return where a problem is (file and line) and its description, from an error of pydantic.
-
-    `node` is the content of the file as YAML nodes. The other arguments are as for `make`.
-    """
+    `node` is the content of the file as YAML nodes. The other arguments are as for `make`."""
     inner = list(problem["loc"])
     line = _line(node, [*location, *inner])
     where = (f"{path}, line {line}" if line else str(path)) if path else name
@@ -365,10 +351,8 @@ def _sentence(
 
 def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool:
     """Whether an error of pydantic only says that a value lacks one of several allowed forms.
-
     Such an error is left out, because another one says what is wrong in the form that the user chose. `wrong`
-    are all errors.
-    """
+    are all errors."""
     place = problem["loc"][:-1]
     others = [other for other in wrong if other is not problem and other["loc"][: len(place)] == place]
     if problem["type"] == "literal_error" and isinstance(problem["input"], Mapping):
@@ -400,10 +384,8 @@ def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
 
 def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any], str | None]:
     """Follow the location of an error of pydantic through the types of a section.
-
     Returns the keys of the location that are in the file, the sections that could have the last key, and an
-    example of its value (or None). `kind` is the type of the outermost section.
-    """
+    example of its value (or None). `kind` is the type of the outermost section."""
     names: list[Key] = []
     sections = annotations = _members(kind)
     example = None
@@ -427,9 +409,7 @@ def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any]
 
 def _is_branch(step: Key, annotations: Sequence[object]) -> bool:
     """Whether `step`, a part of the location of a pydantic error, names a type in a union and is no key.
-
-    Examples are "str" and "GridSection". `annotations` are the types that are possible at this place.
-    """
+    Examples are "str" and "GridSection". `annotations` are the types that are possible at this place."""
     if not isinstance(step, str):
         return False
     classes = [getattr(member, "__name__", "") for member in annotations]

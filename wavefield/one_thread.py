@@ -16,10 +16,8 @@ _state: dict[str, Any] = {"depth": 0, "limits": None}
 @contextmanager
 def one_thread() -> Generator[None]:
     """Context manager or decorator: linear algebra (BLAS) uses one thread in the whole process.
-
     If several threads are in such blocks, the first to enter sets this limit, and the last to leave restores
-    the earlier limit.
-    """
+    the earlier limit."""
     with _lock:
         if not _state["depth"]:
             _take_control()
@@ -38,9 +36,7 @@ def one_thread() -> Generator[None]:
 
 def _take_control() -> None:
     """Let the calling thread set the number of BLAS threads.
-
-    From version 3.8 on, threadpoolctl obeys only the first thread that has set a number.
-    """
+    From version 3.8 on, threadpoolctl obeys only the first thread that has set a number."""
     openblas: Any = getattr(threadpoolctl, "OpenBLASController", None)
     if clear := getattr(openblas, "clear_controlling_thread", None):
         clear(force=True)

@@ -29,10 +29,8 @@ def reweighted_lstsq(
     iterations: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit `design` (n, p) @ solution = `values` (n, ...) by repeated weighted least squares.
-
     The first fit multiplies the equations by `weight` (n,), each further one by ``reweight(residual)``.
-    Returns the solution (p, ...) and the unweighted residuals (n, ...) of the last of `iterations` fits.
-    """
+    Returns the solution (p, ...) and the unweighted residuals (n, ...) of the last of `iterations` fits."""
     for _ in range(iterations):
         rows = weight.reshape(-1, *[1] * (values.ndim - 1))
         solution = np.asarray(np.linalg.lstsq(design * weight[:, None], values * rows, rcond=None)[0])

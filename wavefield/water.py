@@ -19,9 +19,7 @@ WATER = ("water_depth", "surface_tension_over_density")  # attributes of a cube 
 
 def tension_over_density(surface_tension: float | None = None, density: float | None = None) -> float:
     """Return surface tension (N/m) over density (kg/m3), in m3 s-2.
-
-    An argument that is None is that of clean water at 20 C.
-    """
+    An argument that is None is that of clean water at 20 C."""
     tension = SURFACE_TENSION if surface_tension is None else surface_tension
     return float(tension) / float(density or DENSITY)
 

@@ -28,9 +28,7 @@ from wavefield.rig.water_level import WaterPlane, fit_plane
 @dataclass(frozen=True)
 class FlatSurface:
     """Positions of the flat target's nodes, triangulated from two or more cameras.
-
-    Heights z are relative to the nodes' expected heights, so z is zero for a perfect rig.
-    """
+    Heights z are relative to the nodes' expected heights, so z is zero for a perfect rig."""
 
     x: Array  # (n,): Position of each node, metres
     y: Array  # (n,)
@@ -54,9 +52,7 @@ def _rms(values: Array) -> float:
 
 def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> FlatSurface | None:
     """Triangulate the nodes of the target in the pose named `pose`.
-
-    Returns None if fewer than ten nodes are seen by two or more cameras.
-    """
+    Returns None if fewer than ten nodes are seen by two or more cameras."""
     o = observations
     N, C = len(o.nodes), len(o.cameras)
     apparent, sight = np.full((C, 2, N), np.nan), np.full((C, 2, N), np.nan)
@@ -75,10 +71,8 @@ def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> F
 
 def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, str], Array]:
     """Compute how far matched nodes lie from their epipolar lines, for each pair of cameras.
-
     Returns, by pair of camera names, the signed distances (m,), px, in the image of the second camera. Pairs
-    that saw no common node are left out.
-    """
+    that saw no common node are left out."""
     o = observations
     key = o.pose * len(o.nodes) + o.node
     out = {}
@@ -104,10 +98,8 @@ def residual_summary(
     observations: Observations, fit: Fit, rig: Rig, reference: str
 ) -> tuple[dict[str, Any], FlatSurface | None]:
     """Summarise the residuals of the fit for the calibration's report page.
-
     Returns a nested dict (residuals of each camera and view, epipolar distances of each pair, flatness of the
-    target) and the triangulated nodes of the pose `reference`, or None if too few nodes were triangulated.
-    """
+    target) and the triangulated nodes of the pose `reference`, or None if too few nodes were triangulated."""
     o = observations
     cameras = {}
     for c, name in enumerate(o.cameras):
@@ -156,9 +148,7 @@ MIN_STD = 1e-4  # px: no image gives a smaller uncertainty
 
 def usable_views(views: Views, findings: Findings) -> UsableViews:
     """Select the views that have enough nodes and the same image size as most views of their camera.
-
-    Returns the selected points by camera and pose. The function adds each rejected view to `findings`.
-    """
+    Returns the selected points by camera and pose. The function adds each rejected view to `findings`."""
     usable: UsableViews = {}
     for name, by_pose in views.items():
         size = _common_size(name, by_pose, findings)
@@ -183,9 +173,7 @@ def _common_size(
     name: str, by_pose: Mapping[str, TargetPoints], findings: Findings
 ) -> tuple[int, int] | None:
     """Return the most frequent image size (width, height) of a camera; None if it has no views.
-
-    If sizes differ, the function adds a problem to `findings`.
-    """
+    If sizes differ, the function adds a problem to `findings`."""
     sizes: dict[tuple[int, int], list[str]] = {}
     for pose, points in by_pose.items():
         sizes.setdefault((int(points.size[0]), int(points.size[1])), []).append(pose)
@@ -203,9 +191,7 @@ def _common_size(
 
 def _finite(points: TargetPoints) -> TargetPoints:
     """Remove points whose position or uncertainty is not finite.
-
-    Uncertainties below `MIN_STD` are raised to it.
-    """
+    Uncertainties below `MIN_STD` are raised to it."""
     finite = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
     return replace(
         points,
@@ -224,12 +210,10 @@ def calibrate_each(
     findings: Findings,
 ) -> dict[str, SingleCamera]:
     """Calibrate each camera alone.
-
     Returns the calibrated cameras by name. The function adds a problem to `findings` for each camera whose
     views do not suffice, and removes views in which the points are not a plane grid from the argument
     `usable`. `mesh` is in metres; `origin` is the position (x, y) of node (0, 0), metres; `flat` names the
-    pose on z = 0.
-    """
+    pose on z = 0."""
     single: dict[str, SingleCamera] = {}
     for name, views in usable.items():
         if not views:
@@ -262,11 +246,9 @@ def consistent_cameras(
     single: dict[str, SingleCamera], usable: UsableViews, mesh: float, findings: Findings
 ) -> dict[str, SingleCamera]:
     """Select the cameras that agree with each other on the poses of the target.
-
     Returns these cameras by name; if no two agree, only the camera with the most views. Views that contradict
     the other cameras are removed from the arguments `single` and `usable`, and are noted in `findings`.
-    `mesh` is in metres.
-    """
+    `mesh` is in metres."""
     consistency = compare_poses(single, mesh)
     _report_inconsistency(consistency, single, mesh, findings)
     for name, pose in consistency.wrong_views:
@@ -291,9 +273,7 @@ def _report_inconsistency(
     consistency: PoseConsistency, single: Mapping[str, SingleCamera], mesh: float, findings: Findings
 ) -> None:
     """Add a problem to `findings` for each camera that contradicts the others or shares no view with them.
-
-    The problem says so if mirrored images explain the contradiction. `mesh` is in metres.
-    """
+    The problem says so if mirrored images explain the contradiction. `mesh` is in metres."""
     right = [name for name in single if name not in consistency.wrong_cameras]
     for name in consistency.wrong_cameras:
         flipped = compare_poses({**{n: single[n] for n in right}, name: mirrored(single[name])}, mesh)
@@ -323,11 +303,9 @@ def assess_rig(
     findings: Findings,
 ) -> None:
     """Check a fitted rig against the limits `LIMITS`, and add problems and notes to `findings`.
-
     `errors` holds the predicted uncertainties. `target_std` is the standard uncertainty of the target's
     nodes, metres. `camera_distance` holds distances of cameras from the origin that the user measured by
-    hand, metres.
-    """
+    hand, metres."""
     for c, name in enumerate(o.cameras):
         stated = camera_distance.get(name)
         if stated:

@@ -32,9 +32,7 @@ TERMS: dict[str, tuple[str, ...]] = {
 
 def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
     """Return the rotation R exp(v) and its derivatives (3, 3, 3) with respect to the components of v.
-
-    R is `rotation` (3, 3), and v is the rotation vector `vector` (3,), rad.
-    """
+    R is `rotation` (3, 3), and v is the rotation vector `vector` (3,), rad."""
     R, jacobian = cv2.Rodrigues(np.asarray(vector, float))
     derivative = np.asarray(jacobian, float).reshape(3, 3, 3)
     return rotation @ np.asarray(R, float), rotation @ derivative
@@ -51,17 +49,13 @@ class ParameterLayout:
 
     def pose_step(self, p: int, x: Array) -> Array:
         """Return the rotation vector and the translation (6,) by which x (p,) moves the pose of index p.
-
-        They are zero for a fixed pose.
-        """
+        They are zero for a fixed pose."""
         k = self.pose[p]
         return np.zeros(6) if k is None else x[k : k + 6]
 
     def with_pose(self, name: str, free: bool) -> "ParameterLayout":
         """Return a copy with one more pose of the target, called `name`.
-
-        If `free` is true, the pose has six new parameters; if not, the pose is fixed.
-        """
+        If `free` is true, the pose has six new parameters; if not, the pose is fixed."""
         names = [f"{name} {part}" for part in ("R1", "R2", "R3", "x", "y", "z") if free]
         first = len(self.names) if free else None
         return replace(self, names=(*self.names, *names), pose=(*self.pose, first))
@@ -74,10 +68,8 @@ def layout(
     placed: Sequence[int] = (),
 ) -> ParameterLayout:
     """Assign a position in the parameter vector to each unknown of the joint fit.
-
     `models` holds the free lens terms of each camera. `reference` and `placed` are indices of poses of the
-    target that stay fixed; poses without observations are fixed too.
-    """
+    target that stay fixed; poses without observations are fixed too."""
     names: list[str] = []
     lens, camera = [], []
     for c, name in enumerate(observations.cameras):
@@ -96,9 +88,7 @@ def layout(
 
 def stepped(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
     """Return the geometry that results if the parameters x (p,) are applied to the geometry `start`.
-
-    `plan` gives the meaning of each parameter. x = 0 leaves the geometry unchanged.
-    """
+    `plan` gives the meaning of each parameter. x = 0 leaves the geometry unchanged."""
     lens, R, T = start.lens.copy(), start.R.copy(), start.T.copy()
     pose_R, pose_t = start.pose_R.copy(), start.pose_t.copy()
     for c, columns in enumerate(plan.lens):
@@ -133,10 +123,8 @@ def linearised(
     start: Geometry, plan: ParameterLayout, x: Array, observations: Observations
 ) -> tuple[Array, Array, Array]:
     """Predict the pixels of the observed nodes at the parameters x (p,), with their derivatives.
-
     Returns pixels (n, 2), derivatives with respect to the parameters (n, 2, p), and derivatives with respect
-    to the position of the node on the target (n, 2, 3), px per metre.
-    """
+    to the position of the node on the target (n, 2, 3), px per metre."""
     o = observations
     now = stepped(start, plan, x)
     local = (o.nominal + now.offset)[o.node]
@@ -181,10 +169,8 @@ def covariance_to_dict(
     names: tuple[str, ...], covariance: Array, cameras: tuple[str, ...]
 ) -> dict[str, list[str] | list[list[float]]]:
     """Convert the part of a covariance (p, p) that belongs to cameras to lists, for the rig file.
-
     `names` names all parameters. The result holds the names of the cameras' parameters and the rows of the
-    lower triangle of their covariance.
-    """
+    lower triangle of their covariance."""
     columns = [k for k, name in enumerate(names) if name.rsplit(" ", 1)[0] in cameras]
     part = covariance[np.ix_(columns, columns)]
     rows = [[float(f"{v:.12g}") for v in row[: k + 1]] for k, row in enumerate(part)]
@@ -197,12 +183,10 @@ HUBER_LIMIT = 4.0  # standard deviations beyond which the loss grows linearly; f
 
 class Whitener:
     """Makes residuals uncorrelated if the nodes of the target are displaced from their nominal positions.
-
     All views of a node share its displacement, so their residuals have the covariance C = I + target_std^2 B
     B^T. Calling the object multiplies by C^(-1/2). B, the argument `by_node` (n, 2, 3), holds the derivatives
     of the normalised residuals with respect to the node's position, 1/m. `node` (n,) is the node of each
-    observation, and `target_std` is in metres.
-    """
+    observation, and `target_std` is in metres."""
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
         n, count = len(node), int(node.max()) + 1
@@ -229,9 +213,7 @@ class Whitener:
 
     def offsets(self, residual: Array) -> Array:
         """Estimate the displacements of the nodes, metres, from normalised residuals (2n,).
-
-        Returns an array (largest node index + 1, 3).
-        """
+        Returns an array (largest node index + 1, 3)."""
         offsets: Array = (self._gain @ (self._Bt @ residual)).reshape(-1, 3)
         return offsets
 
@@ -259,12 +241,10 @@ def minimise(
     tolerance: float,
 ) -> tuple[Array, float]:
     """Minimise Huber's loss by the method of Levenberg and Marquardt, starting at x (p,).
-
     `residual` returns the residuals at x, and `with_jacobian` the residuals and their Jacobian. `limit` is
     the residual beyond which the loss is linear; None means four robust standard deviations of the residuals.
     The iteration ends when the predicted relative decrease of the loss is below `tolerance`, or after
-    `MAX_ITERATIONS`. Returns the parameters (p,) and the last limit.
-    """
+    `MAX_ITERATIONS`. Returns the parameters (p,) and the last limit."""
     damping = 1e-4
     diagonal = np.zeros_like(x)
     scale = 0.0
@@ -319,12 +299,10 @@ def fit(
     placed: Sequence[int] = (),
 ) -> Fit:
     """Fit all cameras and all poses of the target to all observations at once (bundle adjustment).
-
     The fit starts from the geometry `start`. `models`, `reference` and `placed` are as in `layout`.
     `target_std` is the standard uncertainty of the nodes' positions on the target, metres. Huber's loss
     limits the weight of residuals beyond four standard deviations. `noise_scale` is this standard deviation
-    in units of the stated uncertainty of each pixel; if it is None, the residuals give it.
-    """
+    in units of the stated uncertainty of each pixel; if it is None, the residuals give it."""
     o = observations
     plan = layout(o, models, reference, placed)
     start = replace(start, offset=np.zeros_like(start.offset))

@@ -44,9 +44,7 @@ class Blobs:
 
 def find_blobs(image: Image) -> Blobs:
     """Find nearly elliptic shapes that are brighter than their surroundings.
-
-    Shapes that touch the edge of the image are left out.
-    """
+    Shapes that touch the edge of the image are left out."""
     ground = cv2.blur(image, (2 * (max(image.shape) // 16) + 1,) * 2)
     binary = (cv2.GaussianBlur(image, (0, 0), 1.0) > ground + 0.15 * np.std(image)).astype(np.uint8)
     height, width = image.shape
@@ -72,10 +70,8 @@ def find_blobs(image: Image) -> Blobs:
 
 def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
     """Compute the centroids of bright dots, corrected for uneven light.
-
     `node` (n, 2) are the indices of the dots, and `pixel` (n, 2) their approximate positions. Returns the
-    centroids (n, 2), px, and their standard uncertainties from image noise (n,), px.
-    """
+    centroids (n, 2), px, and their standard uncertainties from image noise (n,), px."""
     windows = _windows(image, node, pixel)
     level = np.array([np.percentile(value, [10, 98]) for _, _, value in windows])
     middle, extent = pixel.mean(0), np.ptp(pixel)
@@ -106,9 +102,7 @@ def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
 
 def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes, Array]]:
     """Return the columns, rows and grey values of the pixels around each dot.
-
-    Each window extends over half a mesh on every side of the dot.
-    """
+    Each window extends over half a mesh on every side of the dot."""
     half_mesh = 0.5 * SmoothMap(node, pixel).slopes(node)
     inverse = np.linalg.inv(np.moveaxis(half_mesh, 1, 2))
     reach = np.ceil(np.abs(half_mesh).sum(1)).astype(int)
@@ -126,9 +120,7 @@ def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes
 
 def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
     """Return the connected part of a mask that is nearest to the point `at` (2,), dilated by three pixels.
-
-    x and y (n,) are the columns and rows of the mask's pixels; the result is a mask (n,).
-    """
+    x and y (n,) are the columns and rows of the mask's pixels; the result is a mask (n,)."""
     row, column = y - y.min() + 4, x - x.min() + 4
     raster = np.zeros((row.max() + 5, column.max() + 5), np.uint8)
     raster[row, column] = mask
@@ -141,10 +133,8 @@ def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
 
 def centroid_bias(node: Nodes, pixel: Array, radius: float) -> Array:
     """Compute how far perspective shifts the centroid of a round dot from the image of its centre.
-
     Returns the centroid minus the image of the centre, (n, 2), px. `radius` is the radius of the dots in
-    meshes.
-    """
+    meshes."""
     smooth = SmoothMap(node, pixel)
     rings, spokes = 4, 12
     r = radius * np.sqrt((np.arange(rings) + 0.5) / rings)  # rings of equal area
@@ -167,11 +157,9 @@ def number_right_handed(
     image: Image | None, node: Nodes, pixel: Array, shape: tuple[int, int]
 ) -> tuple[Nodes, tuple[str, ...]]:
     """Number the nodes of a complete grid so that x and y are right-handed seen from above.
-
     Returns the new indices (n, 2) and notes. If several numberings give the same image, x is taken to the
     right in the image, and a note says so. `shape` is the number of nodes along x and y. `image` is given
-    only for a chessboard, where the square between nodes (0, 0) and (1, 1) must be dark.
-    """
+    only for a chessboard, where the square between nodes (0, 0) and (1, 1) must be dark."""
     last = np.array(shape) - 1
     if cross(*SmoothMap(node, pixel).slopes(last[None] / 2)[0]) > 0:
         node = np.stack([node[:, 0], last[1] - node[:, 1]], -1)
@@ -208,10 +196,8 @@ def dot_centres(
     image: Image, node: Nodes, pixel: Array, target: Target, meshes: int = 1
 ) -> tuple[Array, Array, tuple[str, ...]]:
     """Compute the centres of dots, and correct them for perspective if the target states their diameter.
-
     Returns the centres (n, 2), px, their standard uncertainties from image noise (n,), px, and notes.
-    `meshes` is the distance in meshes between dots whose indices differ by one.
-    """
+    `meshes` is the distance in meshes between dots whose indices differ by one."""
     centre, noise = centroids(image, meshes * node, pixel)  # with windows of one mesh
     if target.diameter is None:
         return centre, noise, ("centroids not corrected for perspective: state the target's diameter",)
@@ -223,10 +209,8 @@ def make_points(
     image: Image, node: Nodes, pixel: Array, notes: tuple[str, ...] = (), noise: Array | float = 0.0
 ) -> TargetPoints:
     """Make target points from nodes (n, 2) and their pixels (n, 2), and leave out outliers.
-
     The standard uncertainty of a point is the larger of `noise`, px, and the scatter of all points about a
-    smooth map. Raises a CalibrationError if the points are not on a plane.
-    """
+    smooth map. Raises a CalibrationError if the points are not on a plane."""
     try:
         smooth = SmoothMap(node, pixel)
     except ValueError:
@@ -244,11 +228,9 @@ def make_points(
 
 def numbered_from_rings(node: Nodes, pixel: Array, rings: Nodes) -> Nodes:
     """Renumber nodes (n, 2) so that the ring at the corner of the three rings is node (0, 0).
-
     `rings` holds the present indices of the rings. x and y point to the two other rings, right-handed seen
     from above. Raises a CalibrationError unless there are three rings, along one row and one column of the
-    grid.
-    """
+    grid."""
     if len(rings) != 3:
         raise CalibrationError(
             f"{len(rings)} of the three rings that mark origin, x and y were found; all must be in view "
@@ -268,10 +250,8 @@ def numbered_from_rings(node: Nodes, pixel: Array, rings: Nodes) -> Nodes:
 
 def find_dots(image: Image, target: Target) -> TargetPoints:
     """Find the centres of a rectangular grid of round dots, dark on bright or bright on dark.
-
     A grid with three rings may be partly out of view; without rings, all of it must be in view. Raises a
-    CalibrationError if the grid or its rings are not found.
-    """
+    CalibrationError if the grid or its rings are not found."""
     grids = []
     for polarity in (image, 255.0 - image):
         blobs = find_blobs(polarity)
@@ -295,10 +275,8 @@ def find_dots(image: Image, target: Target) -> TargetPoints:
 
 def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> tuple[Nodes, tuple[str, ...]]:
     """Number the nodes of a grid of which all dots were found, from the number of dots along x and y.
-
     Returns the indices (n, 2) and notes. Raises a CalibrationError if the grid has another shape than
-    `shape`.
-    """
+    `shape`."""
     node = node - node.min(0)
     span = node.max(0) + 1
     if sorted(span) != sorted(shape) or len(node) != np.prod(shape):
@@ -314,9 +292,7 @@ def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> t
 
 def dot_lattice(blobs: Blobs, size: tuple[int, ...]) -> TargetLattice | None:
     """Return the largest lattice that grows from a dot near the middle and two of its neighbours.
-
-    `size` is the image's (width, height), px. Returns None if no lattice has enough dots.
-    """
+    `size` is the image's (width, height), px. Returns None if no lattice has enough dots."""
     centre = blobs.centre
     if len(centre) < LIMITS.min_nodes:
         return None

@@ -162,10 +162,8 @@ def _best_fit(
     distance: float | None,
 ) -> tuple[PlatformFit, tuple[float, float], str]:
     """Fit the mean surface, with the horizon if it agrees with the surface.
-
     Returns the fit, the standard uncertainties of the tilt (degrees) and the height (m), and a sentence that
-    says whether the horizon or the mean surface gave the level.
-    """
+    says whether the horizon or the mean surface gave the level."""
     free = fit_platform(start, matches, {}, distance)
     std = jackknife_std(free, matches, {}, distance)
     if not horizons:
@@ -184,9 +182,7 @@ def _best_fit(
 
 def _epipolar_error(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> float:
     """Return the median distance of matches from their epipolar lines, px.
-
-    Distances above `MAX_EPIPOLAR_ERROR` are left out. NaN if none is left.
-    """
+    Distances above `MAX_EPIPOLAR_ERROR` are left out. NaN if none is left."""
     distances = [
         epipolar_distance(rig[a], rig[b], *p.T, *q.T)
         for by_pair in matches

@@ -76,9 +76,7 @@ class Observations:
 
     def only(self, keep: Mask) -> "Observations":
         """Return the observations that a mask (n,) selects.
-
-        The names of cameras and poses and the table of nodes stay complete.
-        """
+        The names of cameras and poses and the table of nodes stay complete."""
         parts = {key: getattr(self, key)[keep] for key in ("camera", "pose", "node", "pixel", "std")}
         return replace(self, **parts)
 
@@ -87,10 +85,8 @@ class Observations:
         cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], poses: tuple[str, ...], count: int
     ) -> "Observations":
         """Make observations of `count` free points instead of a target, each seen by every camera.
-
         All points belong to the last pose and are at the origin, so that `Geometry.offset` holds their
-        positions. Their pixels are zero.
-        """
+        positions. Their pixels are zero."""
         n = len(cameras) * count
         return Observations(
             cameras,
@@ -111,10 +107,8 @@ def collect(
     views: Mapping[str, Mapping[str, TargetPoints]], mesh: float, origin: tuple[float, float] = (0.0, 0.0)
 ) -> Observations:
     """Join the target points of all views, by camera and pose, to one set of observations.
-
     `mesh` is the distance of neighbouring nodes, metres. `origin` is the position (x, y) of node (0, 0),
-    metres.
-    """
+    metres."""
     cameras = tuple(views)
     poses = tuple(dict.fromkeys(pose for by_pose in views.values() for pose in by_pose))
     rows = [
@@ -148,9 +142,7 @@ def collect(
 @dataclass(frozen=True)
 class Geometry:
     """Lenses and positions of C cameras, P poses of the target and offsets of its N nodes.
-
-    The world is the physical frame.
-    """
+    The world is the physical frame."""
 
     lens: Array  # (C, 12): Lens of each camera, in the order of `LENS`
     R: Array  # (C, 3, 3): Rotation from world to camera
@@ -168,9 +160,7 @@ class Geometry:
 
     def with_pose(self, R: Array, t: Array) -> "Geometry":
         """Return a copy with one more pose of the target.
-
-        R (3, 3) and t (3,), metres, transform from the target to the world.
-        """
+        R (3, 3) and t (3,), metres, transform from the target to the world."""
         return replace(
             self, pose_R=np.concatenate([self.pose_R, R[None]]), pose_t=np.concatenate([self.pose_t, t[None]])
         )
@@ -185,9 +175,8 @@ class Geometry:
 
 def common_extent(cameras: Sequence[Camera], nominal: Array) -> tuple[Array, Array]:
     """Return the lower and the upper corner (x, y), metres, of the field on z = 0 that all cameras see.
-
-    If there is no such field, the corners are the extremes of the nodes' positions `nominal` (N, 3), metres.
-    """
+    If there is no such field, the corners are the extremes of the nodes' positions `nominal` (N, 3),
+    metres."""
     try:
         views = [view_on_water(camera) for camera in cameras]
     except RigError:  # without a flat view, the plane z = 0 may be out of view

@@ -36,18 +36,14 @@ TRIALS = 2000  # of RANSAC; with one true edge in eight, thirty of them pick two
 
 def dip(height: float) -> float:
     """Return the angle of the horizon below the horizontal, rad, as seen from a height above the sea, m.
-
-    The angle includes refraction.
-    """
+    The angle includes refraction."""
     return float(np.sqrt(2.0 * max(height, 0.0) / EARTH_RADIUS))
 
 
 def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array | None:
     """Find points of the horizon in the mean of several images (row, column) of a fixed camera.
-
     The horizon is a straight line in the undistorted image, with a roll of up to 45 degrees. Returns points
-    (X, Y), (n, 2), px, or None if there is no such line.
-    """
+    (X, Y), (n, 2), px, or None if there is no such line."""
     # the mean image shows the horizon, but not the waves
     mean = np.asarray(np.mean([np.asarray(image, float) for image in images], axis=0), np.float32)
     smooth = np.asarray(cv2.GaussianBlur(mean, (0, 0), SMOOTHING), np.float32)
@@ -67,9 +63,7 @@ def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array
 
 def _edges(gradient: NDArray[np.float32]) -> tuple[Array, Array]:
     """Find the steepest edges in some columns of the vertical gradient of an image.
-
-    Returns the positions (X, Y) of the edges (n, 2), px, and their absolute gradients (n,).
-    """
+    Returns the positions (X, Y) of the edges (n, 2), px, and their absolute gradients (n,)."""
     width = gradient.shape[1]
     noise = 1.4826 * float(np.median(np.abs(gradient)))
     points, strength = [], []
@@ -87,10 +81,9 @@ def _edges(gradient: NDArray[np.float32]) -> tuple[Array, Array]:
 
 def _line(tangents: Array, column: Array, strength: Array, reach: float) -> NDArray[np.bool_]:
     """Find the straight line with the most gradient on it (RANSAC), and the edges that lie on it.
-
     `tangents` (n, 2) are the positions of the edges without lens distortion, `strength` (n,) are their
-    gradients, and `reach` is the largest distance of an edge from the line. Returns a mask (n,) of the edges.
-    """
+    gradients, and `reach` is the largest distance of an edge from the line. Returns a mask (n,) of the
+    edges."""
     rng = np.random.default_rng(0)
     weight = np.minimum(strength, np.median(strength))
     best, inlier = 0.0, np.zeros(len(tangents), bool)
@@ -142,9 +135,7 @@ class PlatformFit:
 
     def distance(self, matches: Sequence[Mapping[Pair, Pixels]]) -> float:
         """Return the median distance of the matched features from the first camera, m; 0 without matches.
-
-        `matches` holds the matched pixels by pair of cameras, for each instant.
-        """
+        `matches` holds the matched pixels by pair of cameras, for each instant."""
         name = next(iter(self.cameras))
         rays = [
             sight_lines(self.cameras[name], np.reshape(pixels[0], (-1, 2))) @ self.cameras[name].R @ self.up
@@ -242,11 +233,9 @@ def _correlated_groups(
     fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArray[np.intp]]
 ) -> float:
     """Return the number F of successive groups of instants that show correlated waves, at least 1.
-
     The mean over n groups is then as uncertain as the mean over n / F independent groups. F follows from the
     correlation between groups of the mean elevation in cells of the image. `groups` holds the indices of the
-    instants of each group.
-    """
+    instants of each group."""
     count = len(groups)
     products, squares = np.zeros(count), np.zeros(count)
     number = np.concatenate([np.full(len(part), n) for n, part in enumerate(groups)])
@@ -273,9 +262,7 @@ def _correlated_groups(
 
 def _joined(matches: Sequence[Instant]) -> list[_Match]:
     """Join the matches of all instants, for each pair of cameras.
-
-    Of more than `MAX_MATCHES` matches, only every nth is kept.
-    """
+    Of more than `MAX_MATCHES` matches, only every nth is kept."""
     out = []
     for pair in dict.fromkeys(pair for one in matches for pair in one):
         parts = [(number, one[pair]) for number, one in enumerate(matches) if pair in one]
@@ -299,10 +286,8 @@ def _on_water(fit: PlatformFit, one: _Match) -> _Match:
 
 def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
     """Return the fit after a step x of its parameters.
-
     With a distance, x (8,) holds a rotation vector (3) and a shift (2) of the second camera, the tilt (2) and
-    the rise (1) of the plane. Without a distance, x (3,) holds only the tilt and the rise.
-    """
+    the rise (1) of the plane. Without a distance, x (3,) holds only the tilt and the rise."""
     cameras = dict(fit.cameras)
     if distance is not None:
         one, name = list(cameras)[:2]
@@ -320,10 +305,8 @@ def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
 
 def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Array]:
     """Return distances of matches across and along their epipolar lines, px.
-
     The third result is the distance along the line per metre of elevation, px/m. Each result is (n,). The
-    distance along the line is zero for a feature on the mean surface.
-    """
+    distance along the line is zero for a feature on the mean surface."""
     first, second = (fit.cameras[name] for name in one.pair)
     rays = sight_lines(first, one.a) @ first.R
     down = np.minimum(rays @ fit.up, -MIN_DOWN / 4)
@@ -339,9 +322,7 @@ def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Arra
 
 def _sizes(fit: PlatformFit, one: _Match) -> tuple[float, Array]:
     """Return the expected standard deviations, px, of distances of matches from a fit.
-
-    The first is across the epipolar lines (one value for all), the second along them (n,).
-    """
+    The first is across the epipolar lines (one value for all), the second along them (n,)."""
     across, along, per_metre = _along_and_across(fit, one)
     noise = max(robust_std(across), 0.05)
     waves = max(robust_std(along / per_metre), 1e-3)
@@ -358,10 +339,8 @@ def _residuals(
     instants: int,
 ) -> Array:
     """Return the residuals of `fit_platform` after a step x, each divided by its expected size.
-
     `kept` holds the matches of each pair, `sizes` the results of `_sizes` for them, and `instants` is the
-    number of instants.
-    """
+    number of instants."""
     now = _stepped(fit, x, distance)
     out = []
     for one, (noise, expected) in zip(kept, sizes, strict=True):
@@ -377,9 +356,7 @@ def _residuals(
 
 def sway(images: Sequence[NDArray[np.generic]], camera: Camera) -> float:
     """Return the rms roll or the rms pitch of a camera, whichever is larger, degrees.
-
-    Both come from the horizon in each of its images. NaN if fewer than two images show the horizon.
-    """
+    Both come from the horizon in each of its images. NaN if fewer than two images show the horizon."""
     lines = [find_horizon([image], camera) for image in images]
     # the vertical is perpendicular to all sight lines to the horizon
     ups = [np.linalg.svd(sight_lines(camera, line) @ camera.R)[2][2] for line in lines if line is not None]

@@ -61,12 +61,10 @@ def read_points(
     path: str | Path, size: tuple[int, int] | None = None, std: float = 0.1, unit: float | None = None
 ) -> TargetPoints:
     """Read target points from a CSV file with columns i, j, X, Y and optionally std (px) and z (metres).
-
     If `unit` (metres) is given, the columns are x, y, z in this unit, then X, Y and optionally std. `size`
     (width, height) and `std` (px) are used if the file does not state them. Raises a CalibrationError if the
     file cannot be read, lacks a column or the image size, holds a node twice, or holds values that are not
-    valid numbers.
-    """
+    valid numbers."""
     path = Path(path)
     lines = _lines(path)
     # lines that begin with # are comments; one of them may be "# size 1024 1024" (width and height, px)
@@ -113,10 +111,8 @@ def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
 
 def _table(lines: list[str], path: Path, std: float) -> tuple[Array, bool]:
     """Read the points of a grid.
-
     Returns a table (n, 6) of i, j, X, Y, std, z, and whether the file has a column z. `std` (px) is used
-    where the file states none.
-    """
+    where the file states none."""
     rows = csv.DictReader(_content(lines), skipinitialspace=True)
     header = rows.fieldnames or ()
     missing = [name for name in COLUMNS if name not in header]
@@ -132,9 +128,7 @@ def _table(lines: list[str], path: Path, std: float) -> tuple[Array, bool]:
 
 def _free_points(lines: list[str], path: Path, std: float, unit: float) -> tuple[Array, bool]:
     """Read points with known positions: a table (n, 6) of x, y (in the unit), X, Y, std, z (metres).
-
-    The second result is always True, because the positions are known. `unit` is in metres.
-    """
+    The second result is always True, because the positions are known. `unit` is in metres."""
     content = [line.replace(",", " ") for line in _content(lines)]
     header = content[0].split() if content else []
     if not set(header) >= set(FREE_COLUMNS):

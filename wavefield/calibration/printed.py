@@ -17,9 +17,7 @@ MAX_SEARCH_SIZE = 1500  # px; larger images are halved for the search: OpenCV's 
 
 def find_chessboard(image: Image, target: Target) -> TargetPoints:
     """Find the inner corners of a chessboard, all of which must be in view.
-
-    Raises a CalibrationError if the board is not found.
-    """
+    Raises a CalibrationError if the board is not found."""
     nx, ny = shape_of(target)
     pixel = _chessboard_corners(image, (nx, ny))
     if pixel is None:
@@ -35,9 +33,7 @@ def find_chessboard(image: Image, target: Target) -> TargetPoints:
 
 def _refined(image: Image, node: Nodes, pixel: Array, reach: float = 0.35) -> Array:
     """Return the corners (n, 2), px, after refinement by OpenCV's `cornerSubPix`.
-
-    The window of this function extends by `reach` meshes from the corner to each side.
-    """
+    The window of this function extends by `reach` meshes from the corner to each side."""
     half = int(np.clip(reach * mesh_length(node, pixel), 2, 7))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
     start = pixel.astype(np.float32).reshape(-1, 1, 2)
@@ -46,9 +42,7 @@ def _refined(image: Image, node: Nodes, pixel: Array, reach: float = 0.35) -> Ar
 
 def _chessboard_corners(image: Image, shape: tuple[int, int]) -> Array | None:
     """Return the corners (n, 2), px, from the first of several OpenCV detectors that finds the board.
-
-    None if no detector finds it. `shape` is the number of inner corners along x and y.
-    """
+    None if no detector finds it. `shape` is the number of inner corners along x and y."""
     picture, factor = _as_bytes(image), 1.0
     while max(picture.shape) > MAX_SEARCH_SIZE:
         half = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
@@ -74,10 +68,8 @@ def _as_bytes(image: Image) -> NDArray[np.uint8]:
 
 def find_charuco(image: Image, target: Target) -> TargetPoints:
     """Find the chessboard corners of a ChArUco board, which may be partly out of view.
-
     Raises a CalibrationError if there are too few corners, if the image is mirrored, or if the target's
-    dictionary is unknown to OpenCV.
-    """
+    dictionary is unknown to OpenCV."""
     nx, ny = shape_of(target)
     grey, marker = _as_bytes(image), float(target.marker or 0.0)
     code = getattr(cv2.aruco, target.dictionary, None)

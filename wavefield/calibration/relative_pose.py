@@ -28,10 +28,8 @@ MAX_EPIPOLAR_ERROR = 3.0  # px, of a correct match: features are found to about 
 
 def match_features(one: NDArray[np.generic], other: NDArray[np.generic]) -> Pixels:
     """Match SIFT features (Lowe 2004) of two images.
-
     Returns the pixels (X, Y) of the matched features in each image, two arrays (n, 2). In each match, both
-    features are the best match of the other, and clearly better than the second best.
-    """
+    features are the best match of the other, and clearly better than the second best."""
     sift = cv2.SIFT.create(nfeatures=MAX_FEATURES)
     found = [sift.detectAndCompute(_bytes(image), None) for image in (one, other)]
     if any(len(points) < 2 for points, _ in found):
@@ -58,11 +56,9 @@ def _bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -> Camera:
     """Find the pose of camera `other` relative to camera `one` from matched pixels; returns `other` in it.
-
     The lenses of both cameras are known. `matches` holds the pixels (n, 2) in each camera, and `distance` is
     the distance between the cameras, metres. The pose minimises the epipolar distances of the matches, with a
-    robust loss. Raises a RigError if there are too few matches.
-    """
+    robust loss. Raises a RigError if there are too few matches."""
     a, b = matches
     if len(a) < MIN_MATCHES:
         raise RigError(_too_few(len(a)))
@@ -84,10 +80,8 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
 
 def _starts(E: Array, one: Array, other: Array, reach: float) -> list[Pose]:
     """Return start values of the relative pose: rotations (3, 3) with unit translations (3,).
-
     E (3, 3) is the essential matrix of the tangents `one` and `other` (n, 2). On a nearly flat surface it may
-    give a wrong pose, so the poses from a homography are added.
-    """
+    give a wrong pose, so the poses from a homography are added."""
     _, R, t, _ = cv2.recoverPose(E, one, other, np.eye(3))
     out = [(np.asarray(R, float), np.asarray(t, float).ravel())]
     H, _ = cv2.findHomography(one, other, cv2.RANSAC, reach)
@@ -105,9 +99,7 @@ def _fitted(
     one: Camera, other: Camera, matches: Pixels, distance: float, start: Pose
 ) -> tuple[Camera, float]:
     """Fit the pose of the second camera to the matches, from a start value (R, t).
-
-    Returns the second camera in this pose and the value of the robust loss.
-    """
+    Returns the second camera in this pose and the value of the robust loss."""
     R, t = start
     across = np.linalg.svd(t[None])[2][1:]  # two directions across t
 
@@ -133,9 +125,7 @@ def _too_few(count: int) -> str:
 
 def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:
     """Return the points (m, 3), metres, where the sight lines of matched pixels meet, in the rig's frame.
-
-    Matches with large epipolar errors, very distant points and points behind a camera are left out.
-    """
+    Matches with large epipolar errors, very distant points and points behind a camera are left out."""
     a, b = matches
     near = np.abs(epipolar_distance(one, other, *a.T, *b.T)) < MAX_EPIPOLAR_ERROR
     if not near.any():

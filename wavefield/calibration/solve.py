@@ -196,12 +196,10 @@ def _fit_and_choose(
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Observations, Fit, str]:
     """Fit all cameras, leave out outliers, and choose the camera model if the user gave none.
-
     `start` is the geometry from which the fit starts, `frame` defines the physical frame, `model` holds the
     free lens terms or is None for the automatic choice, and `target_std` is in metres. Returns the
     observations that were kept, the fit, and the free terms of the model. The function records in `findings`
-    what it left out.
-    """
+    what it left out."""
     o = observations
     terms = model or ("f", "aspect", "c", "k1")
 
@@ -226,9 +224,7 @@ def _fit_and_choose(
 
 def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observations) -> Geometry:
     """Return the geometry with the values of an ideal lens for all lens terms that are not in `terms`.
-
-    It is the start of a fit in which only `terms` are free.
-    """
+    It is the start of a fit in which only `terms` are free."""
     lens = geometry.lens.copy()
     free = {
         "f": (0, 1),
@@ -251,10 +247,8 @@ def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observat
 
 def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
     """Return a mask (n,) of the observations to keep.
-
     If the worst view misses the fit far more than the others, all of its points are rejected; if not, single
-    points are. The function records in `findings` what is rejected.
-    """
+    points are. The function records in `findings` what is rejected."""
     deviation = np.abs(result.residual).max(axis=1) / o.std
     view = o.camera * len(o.poses) + o.pose
     spread = {

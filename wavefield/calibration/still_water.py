@@ -39,10 +39,8 @@ Matches = Mapping[str, ArrayLike]  # by camera: pixels (n, 2) of the same n poin
 
 def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
     """Check matches by camera, and stack them in one array.
-
     Returns the names of the matched cameras, in the rig's order, and their pixels (n, cameras, 2). Raises a
-    CalibrationError if there are fewer than two cameras, an unknown camera, or arrays of wrong shape.
-    """
+    CalibrationError if there are fewer than two cameras, an unknown camera, or arrays of wrong shape."""
     names = [name for name in rig if name in matches]
     unknown = [name for name in matches if name not in rig.cameras]
     if unknown:
@@ -57,10 +55,8 @@ def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
     """Return the points x, y, z, each (n,), metres, that are nearest to the sight lines of matched pixels.
-
     The fourth result holds the reprojection errors (n, cameras, 2), px: observed minus projected pixels, with
-    the cameras in the rig's order.
-    """
+    the cameras in the rig's order."""
     names, pixel = stack_matches(rig, matches)
     cameras = [rig[name] for name in names]
     apparent = np.stack([np.stack(c.unproject(*pixel[:, k].T)) for k, c in enumerate(cameras)])
@@ -87,10 +83,8 @@ class Solution:
 
 class SightLineFit:
     """Least-squares fit of the cameras of a rig to matched pixels.
-
     The calibration of the rig, with its covariance, is the prior. `std` is the standard uncertainty of a
-    matched pixel per axis, px.
-    """
+    matched pixel per axis, px."""
 
     def __init__(self, rig: Rig, matches: Matches, std: float):
         self.names, pixel = stack_matches(rig, matches)
@@ -125,9 +119,7 @@ class SightLineFit:
     @property
     def matches(self) -> dict[str, Array]:
         """The matched pixels (n, 2) that the fit uses, by camera.
-
-        NaN where a camera does not see the point.
-        """
+        NaN where a camera does not see the point."""
         return {name: self.pixel[:, k] for k, name in enumerate(self.names)}
 
     def rig_at(self, x: Array) -> Rig:
@@ -137,9 +129,7 @@ class SightLineFit:
 
     def solve(self, free: Sequence[str]) -> Solution:
         """Find the most probable parameters if the cameras named in `free` may have moved.
-
-        The other cameras keep to their calibration within its uncertainty.
-        """
+        The other cameras keep to their calibration within its uncertainty."""
         covariance = self.covariance.copy()
         for name in free:
             k = self.layout.camera[self.names.index(name)]
@@ -160,10 +150,8 @@ class SightLineFit:
 
     def _linearised(self, x: Array) -> tuple[Array, Array]:
         """Return the normalised residuals (n, 2 cameras, 1) of the matches, and their derivatives.
-
         The derivatives (n, 2 cameras, p) are with respect to the parameters x. The part that a shift of each
-        point would explain is removed from both results.
-        """
+        point would explain is removed from both results."""
         point = np.stack(sight_points(self.rig_at(x), self.matches)[:3], axis=-1)
         pixel, J, A = linearised(replace(self.start, offset=point), self.layout, x, self.observations)
 
@@ -190,9 +178,7 @@ class SightLineFit:
 
     def misfit(self, projected: Array) -> float:
         """Return a robust estimate of the distance by which sight lines miss each other, px.
-
-        `projected` holds the residuals of all matches, divided by `std`.
-        """
+        `projected` holds the residuals of all matches, divided by `std`."""
         norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
         # normalise by the median of a chi distribution with 2 cameras - 3 degrees of freedom
         median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))
@@ -206,10 +192,8 @@ class SightLineFit:
 
 def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[ParameterLayout, Array]:
     """Return the layout of the cameras' parameters and the prior covariance of these parameters (p, p).
-
     The covariance comes from the provenance of the rig. If it has none, only the positions and orientations
-    of the cameras are parameters, with default uncertainties.
-    """
+    of the cameras are parameters, with default uncertainties."""
     stated = rig.provenance.get("covariance")
     columns: dict[str, list[str]] = {name: [] for name in names}
     if stated:
@@ -289,10 +273,8 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
 
 def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
     """Decide whether a camera has moved.
-
     Returns the result of the check, and the solution for each camera that may have moved. The key None holds
-    the solution in which no camera has moved.
-    """
+    the solution in which no camera has moved."""
     solutions: dict[str | None, Solution] = {None: problem.solve(())}
     for name in problem.names:
         solutions[name] = problem.solve((name,))
@@ -336,11 +318,9 @@ def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
 
 def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: float, after: float) -> RigCheck:
     """Return the result of a check that blames a camera's motion.
-
     `best` is the camera that explains the misfit best, and `faulty` are all that explain it about as well.
     `angle` is the turn of `best`, degrees; `before` and `after` are the misfits before and after its
-    correction, px. If the correction leaves too large a misfit, the result names other causes instead.
-    """
+    correction, px. If the correction leaves too large a misfit, the result names other causes instead."""
     if after > max(0.5 * before, SHARP_MISFIT_PX):
         text = f"sight lines miss by {before:.2f} px, and by {after:.2f} px with one turned: {_OTHER_CAUSES}"
         return RigCheck(before, after, None, faulty, angle, text)

@@ -19,10 +19,8 @@ from wavefield.robust import PER_MEDIAN
 @compiled(inline="always")
 def profile(d: float, u: float, s: float) -> tuple[float, float, float]:
     """Return the brightness across a string at the distance d from its axis, and two derivatives.
-
     The derivatives are with respect to d and u. The profile has unit integral; it is a box of half width
-    sqrt(u), smoothed by a Gaussian of standard deviation s. d and s are in px.
-    """
+    sqrt(u), smoothed by a Gaussian of standard deviation s. d and s are in px."""
     if u > 0.1 * s * s:
         h = math.sqrt(u)
         p, m = (d + h) / s, (d - h) / s
@@ -67,10 +65,8 @@ class Crossings:
 @compiled()
 def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: float) -> Array:
     """Return the columns x, the rows y and the grey values of the pixels near a crossing, (3, n).
-
     These pixels are within the parallelogram of the vectors `arm1` and `arm2`, px, and nearer than `band`,
-    px, to one of the strings. `start` holds the crossing's parameters.
-    """
+    px, to one of the strings. `start` holds the crossing's parameters."""
     rows, columns = image.shape
     det = arm1[0] * arm2[1] - arm1[1] * arm2[0]
     wide, tall = abs(arm1[0]) + abs(arm2[0]), abs(arm1[1]) + abs(arm2[1])
@@ -146,9 +142,8 @@ def _rows(
 @compiled()
 def _advance(p: Array, steps: Array, blur: float) -> float:
     """Add `steps` to the parameters p in place, after limiting them.
-
-    The linear parameters come first in `steps`. Returns the larger of the steps of the centre's x and y, px.
-    """
+    The linear parameters come first in `steps`. Returns the larger of the steps of the centre's x and y,
+    px."""
     largest = 0.0
     for i in range(len(steps)):
         step = steps[i]
@@ -179,10 +174,8 @@ def _evaluate(
     noise: Array,
 ) -> None:
     """Fill the arrays `arms` (4,) and `noise` (4,) of one crossing in place.
-
     The fields of `Crossings` describe them. `angles` are the directions of the two strings, rad; `misses` and
-    `spread` are as in `_rows`.
-    """
+    `spread` are as in `_rows`."""
     c1, s1, c2, s2 = math.cos(angles[0]), math.sin(angles[0]), math.cos(angles[1]), math.sin(angles[1])
     v1, v2 = math.sqrt(blur * blur + p[WIDTH1] / 3.0), math.sqrt(blur * blur + p[WIDTH2] / 3.0)
     found = np.zeros(4)
@@ -230,11 +223,9 @@ def _fit_one(
     noise: Array,
 ) -> float:
     """Fit one crossing by damped Gauss-Newton steps.
-
     The parameters p (12,) hold the start values and then the result; `covariance` (2,) (variances of x and y,
     px^2), `arms` (4,) and `noise` (4,) are filled in place. Returns the residual over the noise, or -1 if the
-    fit fails.
-    """
+    fit fails."""
     n = pixels.shape[1]
     if n < 45:
         return -1.0
@@ -270,11 +261,9 @@ def _fit_all(
     image: Image, arms: Array, blur: float, band: Array, variance: Pair, p: Array, out: Array
 ) -> None:
     """Fit all crossings of an image; updates the parameters p (n, 12) and fills `out` (n, 11) in place.
-
     `arms` (n, 2, 2) are vectors along the two strings, px, and `band` (n,) is the half width of the strips of
     pixels along them, px. A row of `out` holds the variances of x and y (2), `arms` (4), `noise` (4) and the
-    misfit (1).
-    """
+    misfit (1)."""
     for k in range(len(p)):
         pixels = _pixels_near(image, p[k], arms[k, 0], arms[k, 1], band[k])
         covariance, brightness, noise = out[k, :2], out[k, 2:6], out[k, 6:10]
@@ -283,11 +272,9 @@ def _fit_all(
 
 def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> Array:
     """Return start values (n, 12) of the parameters of crossings.
-
     They are set for the centre, the angles and the widths; the first step of the fit solves for the others.
     `pixel` (n, 2) are the expected positions, `slopes` (n, 2, 2) the mesh vectors, px, `sigma` the standard
-    deviation of a string's profile, px, and `blur` that of the lens' Gaussian, px.
-    """
+    deviation of a string's profile, px, and `blur` that of the lens' Gaussian, px."""
     p = np.zeros((len(pixel), COUNT))
     p[:, CX], p[:, CY] = pixel.T
     p[:, ANGLE1] = np.arctan2(slopes[:, 0, 1], slopes[:, 0, 0])
@@ -304,11 +291,9 @@ def fit_crossings(
     noise: tuple[float, float] = (1.0, 0.0),
 ) -> Crossings:
     """Fit all crossings of an image by damped Gauss-Newton steps, without outliers (Tukey's biweight).
-
     `start` (n, 12) are start values of the parameters, `slopes` (n, 2, 2) the mesh vectors, px, and `blur`
     the standard deviation of the lens' Gaussian, px. `noise` is the variance of a pixel at zero grey and its
-    increase per grey level.
-    """
+    increase per grey level."""
     parameters = np.array(start, float)
     length = np.hypot(slopes[..., 0], slopes[..., 1])
     arms = slopes * (np.minimum(0.45, MAX_ARM / np.maximum(length, 1e-9)))[..., None]

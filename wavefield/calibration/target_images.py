@@ -83,9 +83,7 @@ def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
 
 def scaled(image: NDArray[np.generic]) -> Image:
     """Convert an image to float32, and scale it so that its brightest patch has the value 255.
-
-    Raises a CalibrationError if the image is too small, not grey, not finite, or empty.
-    """
+    Raises a CalibrationError if the image is too small, not grey, not finite, or empty."""
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE:
         raise CalibrationError(
@@ -106,10 +104,8 @@ def scaled(image: NDArray[np.generic]) -> Image:
 
 def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None = None) -> TargetPoints | str:
     """Find the target in an image file, or read its points from a table.
-
     Returns the points, or a sentence for the user if that fails. `size` (width, height) is used for a table
-    that does not state the size of the image.
-    """
+    that does not state the size of the image."""
     try:
         if is_table(path):
             return read_points(path, size, unit=target.mesh if target.kind == "points" else None)
@@ -129,9 +125,7 @@ def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
 
 def placed_at(points: TargetPoints, height: float) -> TargetPoints:
     """Return the points of a target that lies parallel to z = 0 at a known height, metres.
-
-    The target's axes are then those of the physical frame, and the points are marked as `placed`.
-    """
+    The target's axes are then those of the physical frame, and the points are marked as `placed`."""
     own = np.zeros(len(points)) if points.z is None else points.z
     return replace(points, z=own + height, placed=True)
 

@@ -27,10 +27,8 @@ MAX_OFF_SITE = 0.16  # meshes between a mark and the midpoint of two dots
 
 class PlateLevel:
     """The dots of one level of a two-level target, with a smooth map from their indices to pixels.
-
     `node` (n, 2) are indices in the level's own lattice. The dots are two meshes apart: in meshes, a dot is
-    at ``2 node + shift``. `shift` is 0 on the first level and 1 on the second.
-    """
+    at ``2 node + shift``. `shift` is 0 on the first level and 1 on the second."""
 
     def __init__(self, node: Nodes, pixel: Array, shift: int = 0) -> None:
         self.node, self.pixel, self.shift = node, pixel, shift
@@ -55,10 +53,8 @@ PlateAxes = tuple[Nodes, Nodes, Nodes]
 
 def marks_in_place(image: Image, level: PlateLevel) -> tuple[PlateAxes, Nodes] | None:
     """Find a square and a triangle that replace two dots of a level.
-
     Returns the axes (origin, x, y) that they define, and the nodes (2, 2) of the square and the triangle. The
-    square is the origin, and x points from it to the triangle. None if there is no such pair.
-    """
+    square is the origin, and x points from it to the triangle. None if there is no such pair."""
     patch = _patches(image, level, level.node.astype(float), level.pixel)
     difference = np.abs(patch - np.median(patch, 0)).mean(1)
     middle = np.median(difference)
@@ -88,11 +84,9 @@ def marks_in_place(image: Image, level: PlateLevel) -> tuple[PlateAxes, Nodes] |
 
 def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Array) -> PlateAxes | None:
     """Find a triangle between two dots of `level` and a square between two dots of `other`.
-
     Returns the axes (origin, x, y) that they define. The origin is the dot next to both marks; x points to
     the triangle and y to the square. `centre` (n, 2), px, holds the centres of all blobs. None if there are
-    no such marks.
-    """
+    no such marks."""
     near = [cKDTree(one.pixel).query(centre)[0] < 0.1 * one.side for one in (level, other)]
     rest = centre[~near[0] & ~near[1]]
     if len(rest) < 2:
@@ -114,9 +108,7 @@ def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Ar
 
 def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
     """Find the pixels that are midway between two dots of a row or column of the level.
-
-    Returns, by the index of the pixel in `pixel` (n, 2), its position in meshes (2,).
-    """
+    Returns, by the index of the pixel in `pixel` (n, 2), its position in meshes (2,)."""
     mesh = 2 * level.index_of(pixel) + level.shift
     site = np.rint(mesh).astype(np.int64)
     good = (np.abs(mesh - site) < MAX_OFF_SITE).all(1) & (site.sum(1) % 2 == 1)
@@ -137,10 +129,8 @@ def _square_first(patch: Array) -> Nodes | None:
 
 def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Array:
     """Sample the image around pixels on grids along the target's axes.
-
     `index` (n, 2) are the pixels' indices in the lattice of `level`. Returns patches (n, samples), with
-    brightness from 0 to 1.
-    """
+    brightness from 0 to 1."""
     a = PATCH_REACH * np.linspace(-1, 1, PATCH_SAMPLES)
     offset = np.stack(np.meshgrid(a, a), -1).reshape(-1, 2)
     places = level.smooth((index[:, None] + offset).reshape(-1, 2)).astype(np.float32)
@@ -156,9 +146,7 @@ def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Arr
 
 def _skewness(patch: Array) -> float:
     """Return the asymmetry of the shape in a patch: large for triangles, small for squares and discs.
-
-    It is the size of the third moments over the cube of the radius of gyration.
-    """
+    It is the size of the third moments over the cube of the radius of gyration."""
     light = np.where(patch > 0.3, patch, 0.0)
     a = np.linspace(-1, 1, PATCH_SAMPLES)
     x, y = (v.ravel() for v in np.meshgrid(a, a))
@@ -176,11 +164,9 @@ DECISIVE_FRACTION = 0.4  # of all dots; a level with more of them ends the searc
 
 def find_two_level(image: Image, target: Target) -> TargetPoints:
     """Find the dots of a two-level target, dark on bright or bright on dark.
-
     The target may be partly out of view, but its two marks must be in view. The parallax between the levels
     must be less than a mesh, or dots are confused with their neighbours. Raises a CalibrationError if the two
-    levels or the marks are not found.
-    """
+    levels or the marks are not found."""
     best: tuple[int, Image, PlateLevel, PlateLevel, Array] | None = None
     for polarity in (image, 255.0 - image):
         blobs = find_blobs(polarity)
@@ -219,9 +205,7 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
 
 def _width(level: PlateLevel, target: Target) -> float:
     """Return the smaller width of a typical dot of a level, px.
-
-    It is infinite if the target's diameter is not stated.
-    """
+    It is infinite if the target's diameter is not stated."""
     if not target.diameter:
         return np.inf
     sizes = np.linalg.svd(level.smooth.slopes(level.node), compute_uv=False)[:, 1]
@@ -230,10 +214,8 @@ def _width(level: PlateLevel, target: Target) -> float:
 
 def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLevel | None:
     """Find the level with the most dots; the middles of its cells must hold dots of the other level.
-
     `centre` (n, 2), px, and `area` (n,) describe all dots; `size` is the image's (width, height). None if
-    there is no such level.
-    """
+    there is no such level."""
     if len(centre) < 2 * LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)
@@ -266,10 +248,8 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
     """Return pairs of mesh vectors, px, with which a lattice may grow from dot k.
-
     A vector is accepted only if dots exist at its end, at its opposite, and at the sum of the two vectors.
-    Pairs that span the smallest cells come first. `tree` is the search tree of `centre` (n, 2), px.
-    """
+    Pairs that span the smallest cells come first. `tree` is the search tree of `centre` (n, 2), px."""
     _, near = tree.query(centre[k], min(22, len(centre)))
     vectors = centre[near[1:]] - centre[k]
     ends = cKDTree(vectors)
@@ -310,10 +290,8 @@ def _other_dots(level: PlateLevel, centre: Array) -> Array:
 
 def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
     """Find the other level: the dots near the middles of the cells of level `one`.
-
     The parallax between the levels, which shifts them from the middles, may vary slowly. None if there are
-    too few.
-    """
+    too few."""
     rest = _other_dots(one, centre)
     if len(rest) < LIMITS.min_nodes:
         return None
@@ -339,9 +317,7 @@ def _numbered(
     image: Image, marked: PlateLevel, second: PlateLevel, marks: tuple[PlateAxes, Nodes], target: Target
 ) -> TargetPoints:
     """Return the target points of both levels, with indices in meshes from the origin.
-
-    `marks` are the axes and the nodes of the level `marked` that marks replace; these nodes are left out.
-    """
+    `marks` are the axes and the nodes of the level `marked` that marks replace; these nodes are left out."""
     (origin, x, y), replaced = marks
     no_mark = ~(marked.node[:, None] == replaced).all(2).any(1)
 

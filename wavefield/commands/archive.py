@@ -48,9 +48,7 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None)
 
 def _slice(words: str | None) -> slice | None:
     """Return the slice of steps that text such as 0:500:5 names; None without text.
-
-    Raises BadParameter if the text has another form.
-    """
+    Raises BadParameter if the text has another form."""
     if words is None:
         return None
     try:
@@ -179,10 +177,8 @@ def convert(
 
 def _sizes(given: tuple[str, ...], names: list[str]) -> dict[str, tuple[int, int]]:
     """Return image sizes (width, height), px, by camera, from texts such as 1024x1024 and cam1=1024x1024.
-
     A text without a camera sets the size of all cameras `names`, or of cam1 to cam4 if `names` is empty.
-    Raises BadParameter if a text has another form.
-    """
+    Raises BadParameter if a text has another form."""
     out: dict[str, tuple[int, int]] = {}
     for entry in given:
         name, _, words = entry.rpartition("=")

@@ -24,9 +24,7 @@ class CommandSource:
 
     def is_catalog(self) -> bool:
         """Return whether the path is a catalog.
-
-        Raises UsageError if it is not, but the user named runs or parameters of a catalog.
-        """
+        Raises UsageError if it is not, but the user named runs or parameters of a catalog."""
         from wavefield.pipeline import is_catalog
 
         if self.path.is_file() and is_catalog(self.path):
@@ -37,10 +35,8 @@ class CommandSource:
 
     def cubes(self) -> list[tuple[str, Path]]:
         """Return the name of each chosen run of a catalog, and the path of its cube; the cube need not exist.
-
         A run has one cube for each recipe (its settings). The cube is that of the recipe that was run last,
-        unless the parameters of the command name another recipe.
-        """
+        unless the parameters of the command name another recipe."""
         from wavefield.pipeline.catalog import cube_of, runs_of
 
         return [
@@ -55,9 +51,7 @@ class CommandSource:
 
 def named(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
     """Return the parameters of a catalog as a mapping, from texts such as ``location=/disk2``.
-
-    Raises BadParameter if a text has no "=". `context` and `parameter`, which click passes, do not matter.
-    """
+    Raises BadParameter if a text has no "=". `context` and `parameter`, which click passes, do not matter."""
     for value in values:
         if "=" not in value:
             raise click.BadParameter(f"{value!r}: write name=value")
@@ -66,9 +60,7 @@ def named(context: click.Context, parameter: click.Parameter, values: tuple[str,
 
 def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that gives a command the argument `source`, a `CommandSource`.
-
-    `metavar` stands for the argument in the help text, such as "CUBE|CATALOG".
-    """
+    `metavar` stands for the argument in the help text, such as "CUBE|CATALOG"."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(command)
@@ -101,10 +93,8 @@ def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., 
 
 def each(runs: Sequence[tuple[str, T]], work: Callable[[str, T], int], quiet: bool = False) -> int:
     """Call `work` with the name and item of every run; an error in one run does not stop the others.
-
     Returns the worst exit status of all runs, where a WavefieldError counts as 1. Prints the name of each run
-    first, unless `quiet`.
-    """
+    first, unless `quiet`."""
     statuses = []
     for number, (run, item) in enumerate(runs, 1):
         if not quiet:
@@ -124,9 +114,7 @@ def worst(statuses: Sequence[int]) -> int:
 
 def with_cube(work: Callable[[Path], int]) -> Callable[[str, Path], int]:
     """Return a function of the name and the cube of a run that calls `work` with the cube.
-
-    The function raises StoreError if the run has no cube yet.
-    """
+    The function raises StoreError if the run has no cube yet."""
 
     def checked(run: str, cube: Path) -> int:
         if not cube.is_dir():

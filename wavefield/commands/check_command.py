@@ -145,9 +145,7 @@ def _pairs_table(prepared: PreparedRun) -> str:
 
 def _carried_lines(found: Diagnosis, pixel: float) -> list[str]:
     """Return lines on the noise, the shortest waves that are resolved, and the size of the beads.
-
-    `pixel` is the size of a pixel on the water, m.
-    """
+    `pixel` is the size of a pixel on the water, m."""
     noise = ", ".join(f"{name} {value / pixel:.3f}" for name, value in found.noise.items())
     lines = [f"  standard uncertainty, two frames, px: {noise}"]
     carried = ", ".join(f"{name} {100 * length:.1f}" for name, length in found.carried.items())

@@ -21,10 +21,8 @@ def run_demo(
     directory: Path, command: Callable[[list[str]], int], scene: str = "demo", *, quiet: bool = False
 ) -> None:
     """Simulate, calibrate, check, run, analyse and report into a folder, then print the errors.
-
     `command` runs one command line, given as words without `wavefield`, and returns its exit status. `scene`
-    is the name or file of a scene. Raises WavefieldError if a command fails.
-    """
+    is the name or file of a scene. Raises WavefieldError if a command fails."""
     experiment, cube = directory / "experiment.yaml", directory / "cube.zarr"
     for words in (
         ["simulate", scene, directory],
@@ -48,9 +46,7 @@ def run_demo(
 
 def comparison(store: Path, directory: Path) -> str:
     """Return a table of the rms errors of a simulated experiment, next to those of Aubourg et al. (2019).
-
-    `store` is its cube, `directory` the folder that `simulate` wrote.
-    """
+    `store` is its cube, `directory` the folder that `simulate` wrote."""
     import numpy as np
 
     from wavefield.pipeline import open_run
@@ -82,9 +78,7 @@ def comparison(store: Path, directory: Path) -> str:
 
 def inside(errors: "xr.Dataset", margin: float) -> "xr.Dataset":
     """Return errors (time, y, x) with NaN within `margin`, m, of the edge of the measured region.
-
-    The measured region consists of the nodes that have a value of z at some step.
-    """
+    The measured region consists of the nodes that have a value of z at some step."""
     import numpy as np
     from scipy.ndimage import binary_erosion
 

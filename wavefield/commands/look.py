@@ -39,9 +39,7 @@ def announce(url: str, port: int) -> None:
 
 def lower_priority(steps_to_come: int) -> None:
     """Give this process the lowest priority if the cube is unfinished, so that it does not slow the run.
-
-    `steps_to_come` is the number of steps that are not measured yet.
-    """
+    `steps_to_come` is the number of steps that are not measured yet."""
     if steps_to_come and hasattr(os, "nice"):  # Windows has no niceness
         os.nice(LAST - os.nice(0))
 

@@ -186,9 +186,7 @@ def _save(rig: "Rig", output: Path, experiment: Path, found: str) -> None:
 
 def _check_output(output: Path, experiment: Path, rig: Path | None) -> None:
     """Raise StoreError, before the work, if `output` cannot be written.
-
-    That is so if it is one of the input files, or exists and is no earlier rig of this experiment.
-    """
+    That is so if it is one of the input files, or exists and is no earlier rig of this experiment."""
     from wavefield.atomic_write import Product, check_writable
     from wavefield.series import Experiment
 

@@ -25,9 +25,7 @@ def is_store(path: Path) -> bool:
 
 def source_of_experiment(experiment: Path, output: Path) -> str:
     """Return a hash of the name of an experiment and of its path relative to the folder of `output`.
-
-    The file `output` stores the hash, so that a later command replaces it only for the same experiment.
-    """
+    The file `output` stores the hash, so that a later command replaces it only for the same experiment."""
     from wavefield.atomic_write import identity_of
     from wavefield.series import Experiment
 
@@ -38,9 +36,7 @@ def source_of_experiment(experiment: Path, output: Path) -> str:
 
 def experiment_file(source: Path) -> Path:
     """Return the experiment file of a folder or of a cube; a file, also a catalog, is returned as it is.
-
-    Raises ExperimentError if a folder holds no experiment file, or several.
-    """
+    Raises ExperimentError if a folder holds no experiment file, or several."""
     if source.is_file():
         return source
     if is_store(source):
@@ -70,18 +66,14 @@ STORE = click.argument("store", metavar=CUBE, type=PATH, callback=lambda _, __, 
 
 def frames_option(default: int, words: str, least: int = 1) -> Callable[[Command], Command]:
     """Return the click option `--frames`, a number of frames.
-
-    It is at least `least`, and `default` if the user does not give it. `words` is the help text.
-    """
+    It is at least `least`, and `default` if the user does not give it. `words` is the help text."""
     count = click.IntRange(min=least)
     return click.option("--frames", default=default, show_default=True, type=count, help=words)
 
 
 def find_cube(source: Path, run: str | None = None) -> Path:
     """Return the cube of an experiment file, a folder, or a run of a catalog; a cube is returned as it is.
-
-    Raises StoreError if there is none, or if `run` is given without a catalog.
-    """
+    Raises StoreError if there is none, or if `run` is given without a catalog."""
     if source.is_file():
         from wavefield.pipeline import catalog
 

@@ -55,10 +55,8 @@ def analyze(
 
 def _analyze(store: Path, output: Path | None, segment: int | None, workflow: Path | None) -> int:
     """Analyse the cube `store`, write its waves to `output`, and return the exit status.
-
     The work is done here, or on the workers of a workflow file if one is given. `segment` is the number of
-    steps per segment of the spectra. The exit status is 3 if steps of the cube are not measured, else 0.
-    """
+    steps per segment of the spectra. The exit status is 3 if steps of the cube are not measured, else 0."""
     from wavefield.pipeline import analyze_on_workers, open_run
     from wavefield.pipeline.analysis import analyze as analyze_cube
     from wavefield.store.ledger import unfinished_note

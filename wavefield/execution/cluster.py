@@ -51,9 +51,7 @@ _SCHEDULER_TIMEOUT = "20s"  # to connect to a scheduler that is running already
 
 def count_workers(workflow: Workflow) -> int:
     """Return the greatest number of workers that a workflow asks for.
-
-    It is 1 for ``cluster: none``, and the number of cores of this machine for ``workers: auto``.
-    """
+    It is 1 for ``cluster: none``, and the number of cores of this machine for ``workers: auto``."""
     if workflow.cluster == "none":
         return 1
     if workflow.workers == "auto":
@@ -76,12 +74,10 @@ def open_cluster(
     workflow: Workflow, logs: Path | None = None, imports: Sequence[str] = ()
 ) -> Iterator[MapUnordered]:
     """Context manager: start the workers of a workflow, and end them at the end of the block.
-
     It yields a function of (work, items). This function yields each item with its result, or with the
     exception that the work raised, in the order of completion. `logs` is the folder for the output of Slurm
     jobs. `imports` are modules that workers on this machine import at their start. Raises ExperimentError or
-    StoreError if workers or the scheduler do not start or are lost.
-    """
+    StoreError if workers or the scheduler do not start or are lost."""
     if workflow.cluster == "none" or (workflow.cluster == "local" and count_workers(workflow) == 1):
         yield _map_here
         return
@@ -106,9 +102,7 @@ def _connect(
     workflow: Workflow, logs: Path, imports: Sequence[str], stack: ExitStack
 ) -> tuple["Client", Watch]:
     """Return a client of the workflow's scheduler, and a function that checks its workers.
-
-    Both, and the workers, are closed with `stack`. `logs` and `imports` are as for `open_cluster`.
-    """
+    Both, and the workers, are closed with `stack`. `logs` and `imports` are as for `open_cluster`."""
     from distributed import Client
 
     if workflow.cluster == "address":
@@ -138,9 +132,7 @@ def _connect(
 
 def _local_cluster(workflow: Workflow, imports: Sequence[str]) -> Any:
     """Return a Dask cluster on this machine that has no workers yet.
-
-    Its workers will import the modules `imports` at their start.
-    """
+    Its workers will import the modules `imports` at their start."""
     from distributed import LocalCluster
     from distributed.utils import get_mp_context
 
@@ -216,10 +208,8 @@ def _map_here(work: Work, items: Sequence[Any]) -> Results:
 
 def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Sequence[Any]) -> Results:
     """Yield each item with its result or the exception raised, in the order in which workers finish.
-
     At most two items for each of `workers` are submitted at a time. `watch(client)` is called every few
-    seconds and may raise an error. StoreError if the scheduler is lost.
-    """
+    seconds and may raise an error. StoreError if the scheduler is lost."""
     from distributed import CancelledError, wait
 
     packed, mark = pickle.dumps(work), uuid.uuid4().hex
@@ -252,10 +242,8 @@ def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Seq
 
 def _result(task: Any) -> Any:
     """Return the result of a Dask task that has ended, or the exception that it raised.
-
     Dask's errors on killed workers and on loading wavefield are replaced by errors that tell what to do.
-    Dask's CancelledError is raised.
-    """
+    Dask's CancelledError is raised."""
     from distributed import CancelledError
 
     try:
@@ -268,10 +256,8 @@ def _result(task: Any) -> Any:
 
 def _do(packed: bytes, versions: str, item: Any) -> Any:
     """Return the result of the work for an item; Dask calls this function on a worker.
-
     `packed` is the pickled work. ExperimentError if the run has other `versions` of Python or wavefield than
-    this worker.
-    """
+    this worker."""
     if own_versions() != versions:
         raise ExperimentError(
             f"the workers run {own_versions()} ({sys.executable}), but the run {versions}: start both from "
@@ -298,9 +284,7 @@ def own_versions() -> str:
 
 def _as_sentence(error: BaseException) -> BaseException:
     """Return `error`, or an error that tells what to do if Dask's workers ended or lack wavefield.
-
-    StoreError replaces Dask's KilledWorker, ExperimentError an error on loading wavefield.
-    """
+    StoreError replaces Dask's KilledWorker, ExperimentError an error on loading wavefield."""
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):

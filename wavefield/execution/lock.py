@@ -24,9 +24,8 @@ class Lock:
     @contextmanager
     def hold(cls, store: Path) -> Iterator["Lock"]:
         """Context manager: hold the lock of a store, as a file next to it, and remove the file at the end.
-
-        StoreError if another run holds the lock (without waiting), or if a file that is no lock has its name.
-        """
+        StoreError if another run holds the lock (without waiting), or if a file that is no lock has its
+        name."""
         path = store.with_name(f".{store.name}.lock")
         lock = FileLock(path, timeout=0)
         with writing(store):

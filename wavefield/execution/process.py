@@ -74,9 +74,7 @@ def one_opencv_thread() -> Iterator[None]:
 
 def keep_memory() -> None:
     """Make the C library (glibc) keep the memory of freed arrays for this process, until its end.
-
-    With another C library nothing is done.
-    """
+    With another C library nothing is done."""
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):  # another C library, another system
@@ -88,9 +86,7 @@ def keep_memory() -> None:
 @functools.cache
 def set_up_worker() -> None:
     """Configure this process as a worker: one OpenCV thread, memory of freed arrays kept, no named locks.
-
-    A second call does nothing.
-    """
+    A second call does nothing."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -154,10 +150,8 @@ def _in_main_thread() -> bool:
 @contextmanager
 def stop_signals(time_limit: float | None = None) -> Iterator[None]:
     """Context manager: raise `Stopped` on SIGTERM, SIGHUP, SIGUSR1 or after the time limit (s).
-
     Slurm sends SIGUSR1 before the end of a job. Signals that the process ignores stay ignored. Outside the
-    main thread the context manager has no effect.
-    """
+    main thread the context manager has no effect."""
     if not _in_main_thread():
         yield
         return
@@ -184,10 +178,8 @@ def stop_signals(time_limit: float | None = None) -> Iterator[None]:
 @contextmanager
 def deferred_signals() -> Iterator[None]:
     """Context manager: delay the effect of signals that stop a run until the block ends.
-
     A second signal takes effect at once. Without the delay, interrupting the start of Dask prints tracebacks,
-    and Ctrl-C during an import may be lost.
-    """
+    and Ctrl-C during an import may be lost."""
     if not _in_main_thread():
         yield
         return
@@ -219,9 +211,7 @@ def deferred_signals() -> Iterator[None]:
 @contextmanager
 def children_ignore_ctrl_c() -> Iterator[None]:
     """Context manager: processes started in the block do not receive SIGINT (Ctrl-C) and SIGUSR1.
-
-    The run itself ends its processes. SIGUSR1 is Slurm's warning before the end of a job.
-    """
+    The run itself ends its processes. SIGUSR1 is Slurm's warning before the end of a job."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -25,11 +25,9 @@ _MAX_LINE = 300  # characters of a log line that are quoted in a message
 
 def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
     """Start a `dask_jobqueue.SLURMCluster`, which submits the jobs of a workflow to Slurm.
-
     `logs` is the folder for the output of the jobs; it is made. The method ``job_script()`` of the result
     returns the job script. ExperimentError if the block ``slurm`` of the workflow has unknown keywords, if
-    the folder cannot be written, or if this is not the main thread.
-    """
+    the folder cannot be written, or if this is not the main thread."""
     _import_jobqueue()
     from dask_jobqueue import SLURMCluster
     from dask_jobqueue.core import Job as JobBase
@@ -94,9 +92,7 @@ def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
 
 def _import_jobqueue() -> None:
     """Import dask-jobqueue, which replaces the handler of Ctrl-C, and restore the handler.
-
-    ExperimentError outside the main thread.
-    """
+    ExperimentError outside the main thread."""
     try:
         interrupt = signal.getsignal(signal.SIGINT)
         import dask_jobqueue  # noqa: F401
@@ -109,9 +105,8 @@ def _import_jobqueue() -> None:
 
 def _keywords(workflow: Workflow, logs: Path) -> dict[str, Any]:
     """Return the keywords for SLURMCluster: wavefield's own, replaced or extended by the user's.
-
-    The user gives them in the block ``slurm`` of the workflow. `logs` is the folder for the output of jobs.
-    """
+    The user gives them in the block ``slurm`` of the workflow. `logs` is the folder for the output of
+    jobs."""
     given = dict(workflow.slurm)
     cores = int(given.get("cores", 1))
     environment = WORKER_ENVIRONMENT | {
@@ -150,9 +145,7 @@ def _processes(workflow: Workflow) -> int:
 
 def count_jobs(workflow: Workflow) -> tuple[int, int]:
     """Return the least and the greatest number of Slurm jobs that the workers of a workflow need.
-
-    Both are 1 if the workflow says ``workers: auto``.
-    """
+    Both are 1 if the workflow says ``workers: auto``."""
     workers, processes = workflow.workers, _processes(workflow)
     if workers == "auto":
         return 1, 1
@@ -162,10 +155,8 @@ def count_jobs(workflow: Workflow) -> tuple[int, int]:
 
 class QueueWatch:
     """A check, called during a run, that warns why jobs wait in Slurm's queue.
-
     It raises ExperimentError if Slurm rejects the jobs, or if all jobs have ended before a worker started.
-    Without it a run with a mistyped partition would wait for ever.
-    """
+    Without it a run with a mistyped partition would wait for ever."""
 
     def __init__(self, cluster: Any) -> None:
         self._cluster = cluster
@@ -219,9 +210,7 @@ def _refusal(text: str) -> str:
 
 def queue_of(user: str) -> dict[str, tuple[str, str]] | None:
     """Return (state, reason) of each job of a user in Slurm's queue, by job number.
-
-    Jobs in the state COMPLETING are left out. None if the command ``squeue`` fails.
-    """
+    Jobs in the state COMPLETING are left out. None if the command ``squeue`` fails."""
     command = ["squeue", "--noheader", f"--user={user}", "--format=%A|%T|%r"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
@@ -233,10 +222,8 @@ def queue_of(user: str) -> dict[str, tuple[str, str]] | None:
 
 def why_ended(numbers: Sequence[str], logs: Path) -> str:
     """Return a message on jobs that ended before their workers started.
-
     It quotes the last line of the first log that has one. `numbers` are the job numbers, `logs` is the folder
-    of the logs.
-    """
+    of the logs."""
     head = f"Slurm job {numbers[-1]} ended before its worker started; "
     for number in numbers:
         for path in sorted(logs.glob(f"*-{number}*")):

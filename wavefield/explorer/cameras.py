@@ -34,9 +34,7 @@ def mask_outlines(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
 
 class MaskPanel:
     """Collects the corners of masks that the user clicks, and shows the lines to add to the experiment file.
-
-    `changed` is called after every change of the corners.
-    """
+    `changed` is called after every change of the corners."""
 
     def __init__(self, changed: Callable[[], None]) -> None:
         self._changed = changed
@@ -63,9 +61,7 @@ class MaskPanel:
 
     def closed_line(self, image: str) -> dict[str, list[float]]:
         """Return the corners of a mask as columns "x" and "y", with the first corner repeated at the end.
-
-        `image` is as for `polygon`.
-        """
+        `image` is as for `polygon`."""
         corners = self.polygon(image)
         line = [*corners, *corners[:1]]
         return {"x": [float(x) for x, _ in line], "y": [float(y) for _, y in line]}
@@ -114,10 +110,8 @@ made.y_range.setv({start: height + dy, end: -dy, reset_start: height + dy, reset
 
 def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
     """Return a small 8-bit copy of an image (row, column), and the factor n by which it is smaller.
-
     Each pixel of the copy is the mean of n x n pixels, so that the copy fits on a screen. Its grey levels are
-    stretched from the 0.5 % to the 99.5 % quantile of the brightness.
-    """
+    stretched from the 0.5 % to the 99.5 % quantile of the brightness."""
     factor = max(1, -(-max(image.shape) // MAX_SCREEN_PX))
     h, w = (n - n % factor for n in image.shape)
     small = np.asarray(image[:h, :w], np.float32)
@@ -129,9 +123,7 @@ def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
 
 def keep_pixels_square(made: figure) -> None:
     """Let the browser adapt the axes of a figure so that the pixels of its image stay square.
-
-    It does so when the figure changes its size, and when `fit_image` sets the size of another image.
-    """
+    It does so when the figure changes its size, and when `fit_image` sets the size of another image."""
     square = CustomJS(args={"made": made}, code=_SQUARE)
     for changed in ("inner_width", "inner_height", "tags"):
         made.js_on_change(changed, square)
@@ -139,9 +131,7 @@ def keep_pixels_square(made: figure) -> None:
 
 def fit_image(made: figure, shape: tuple[int, ...]) -> None:
     """Set the axes of a figure to the size of an image with `shape` (rows, columns).
-
-    A figure that already shows an image of this size keeps its axes, and so what the user has zoomed to.
-    """
+    A figure that already shows an image of this size keeps its axes, and so what the user has zoomed to."""
     height, width = shape
     if made.tags != [width, height]:
         made.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
@@ -151,9 +141,7 @@ def fit_image(made: figure, shape: tuple[int, ...]) -> None:
 
 def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
     """Show an image (row, column) on axes in px of the camera.
-
-    `source` receives a copy of the image, averaged over n x n pixels to fit on a screen. Returns n.
-    """
+    `source` receives a copy of the image, averaged over n x n pixels to fit on a screen. Returns n."""
     fit_image(made, image.shape)
     small, factor = shrink(image)
     h, w = small.shape
@@ -166,11 +154,10 @@ def visible_nodes(
     camera: Camera, x: NDArray[np.floating], y: NDArray[np.floating], fields: Fields, dt: float
 ) -> Fields:
     """Return the n nodes whose water a camera sees in the first frame of a step.
-
     `fields` are z, u, v, w and quality at the middle of the step, (ny, nx), at x, y (ny, nx), metres. `dt` is
     the time step, s. Returns arrays (n,) by name: x and y of the nodes (metres), X and Y, the column and row
-    where their water was half a step earlier (px), and `kind`, the kind of quality as an index into `KINDS`.
-    """
+    where their water was half a step earlier (px), and `kind`, the kind of quality as an index into
+    `KINDS`."""
     z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
     half = [np.where(np.isfinite(fields[n]), 0.5 * dt * fields[n], 0.0) for n in _MOTION]
     X, Y = camera.project(*(p - h for p, h in zip((x, y, z), half)))

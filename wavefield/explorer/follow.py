@@ -28,9 +28,7 @@ _VARIABLES = ("z", "w", "u", "v", "z_t", "eps_y", "eps_piv", "z_std")
 
 def lights_table(lights: tuple[StatusLight, ...]) -> str:
     """Return status lights as HTML.
-
-    A table holds the lights of single cameras; the lights of pairs of cameras and of the rig are below it.
-    """
+    A table holds the lights of single cameras; the lights of pairs of cameras and of the rig are below it."""
     of_cameras = [light for light in lights if light.camera and "-" not in light.camera]
     cameras = list(dict.fromkeys(light.camera for light in of_cameras))
     cells = {(light.name, light.camera): light for light in of_cameras}
@@ -60,9 +58,7 @@ class CameraView:
 
 class FollowPage:
     """The page of an experiment that is being recorded, in one browser tab.
-
-    `probes` are marked on the map.
-    """
+    `probes` are marked on the map."""
 
     def __init__(self, follower: Follower, probes: xr.Dataset | None = None) -> None:
         self._follower = follower
@@ -191,17 +187,13 @@ class FollowPage:
 
 def _large(heading: str, colour: str, words: str) -> str:
     """Return HTML with `heading` in a large font and a colour, and `words` after it.
-
-    `words` must be HTML already; they are not escaped.
-    """
+    `words` must be HTML already; they are not escaped."""
     return f"<b style='font-size: 19px; color: {colour}'>{plain(heading)}</b> &nbsp; {words}"
 
 
 def follow_server(follower: Follower, port: int | None = None) -> PageServer:
     """Return a server of the pages of an experiment that is being recorded.
-
-    `port` is by default the first free one of `DEFAULT_PORTS`. Raises WavefieldError if no port is free.
-    """
+    `port` is by default the first free one of `DEFAULT_PORTS`. Raises WavefieldError if no port is free."""
     probes = None
     with suppress(WavefieldError):  # the page only marks them on the map
         if follower.experiment.probes:

@@ -28,10 +28,8 @@ _ORDER = ("arrival", "synchronisation", "brightness", "saturation", "seeding", "
 @dataclass(frozen=True)
 class LightLimits:
     """Limits of the status lights.
-
-    A quantity is doubtful beyond the first limit and bad beyond the second. If the second limit is
-    smaller than the first, "beyond" means below.
-    """
+    A quantity is doubtful beyond the first limit and bad beyond the second. If the second limit is smaller
+    than the first, "beyond" means below."""
 
     saturated: Limits = (0.01, 0.05)  # fraction of pixels
     cells: Limits = (0.6, 0.3)  # fraction of cells with beads
@@ -48,9 +46,7 @@ class LightLimits:
 @dataclass(frozen=True)
 class RelativeLimits:
     """Limits of the status lights for quantities divided by their medians over the first steps.
-
-    A ratio is doubtful beyond the first of two limits, and bad beyond the second.
-    """
+    A ratio is doubtful beyond the first of two limits, and bad beyond the second."""
 
     brightness: float = 0.5  # bad if the light of beads and of background are both below it: a lamp is off
     cells: Limits = (0.7, 0.4)  # fraction of cells with beads
@@ -123,10 +119,8 @@ class PairSummary:
 
 def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, float]) -> StepSummary:
     """Return the summary of a measured step.
-
     `fields` are z (m), eps_piv (px) and quality, (ny, nx), by name. `z_range` holds the ends of the range in
-    which z was searched, m. If no node has a value, eps_piv and range_used are NaN.
-    """
+    which z was searched, m. If no node has a value, eps_piv and range_used are NaN."""
     z = np.asarray(fields["z"], float)
     valid = np.isfinite(z)
     if not valid.any():
@@ -151,18 +145,14 @@ class Baseline:
 
     def add(self, name: str, values: object) -> None:
         """Add the summary `values`, a dataclass of numbers, of the camera or pair `name`.
-
-        Only the first `n_steps` summaries of each are kept; later ones are ignored.
-        """
+        Only the first `n_steps` summaries of each are kept; later ones are ignored."""
         first = self._first.setdefault((type(values), name), [])
         if len(first) < self.n_steps:
             first.append(values)
 
     def medians(self, kind: type[T], name: str = "") -> T | None:
         """Return the medians of the summaries of class `kind` of the camera or pair `name`.
-
-        The result is None until `n_steps` summaries have been added.
-        """
+        The result is None until `n_steps` summaries have been added."""
         first = self._first.get((kind, name), [])
         if len(first) < self.n_steps:
             return None
@@ -172,10 +162,8 @@ class Baseline:
 
 def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -> list[StatusLight]:
     """Return the lights of brightness, saturation, seeding and focus of one camera.
-
     `now` holds the features of its newest frame, `first` the medians of the features over the first steps, or
-    None while these are not known.
-    """
+    None while these are not known."""
     words = f"beads at {now.peak:.0f}, background {now.background:.0f}"
     dark = False
     if first is not None:
@@ -206,10 +194,8 @@ def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -
 
 def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> StatusLight:
     """Return the light of a pair of cameras such as "a-b".
-
     It is doubtful or bad if the epipolar error is large or few blocks match, as after one camera was moved.
-    `first` holds the medians of `now` over the first steps, or None while they are not known.
-    """
+    `first` holds the medians of `now` over the first steps, or None while they are not known."""
     state = _worse(_state(now.eps_y, LIMITS.eps_y), _state(now.matched, LIMITS.matched))
     if first is not None:
         state = _worse(state, _state(_ratio(now.matched, first.matched), RELATIVE.matched))
@@ -221,11 +207,9 @@ def arrival_lights(
     silent: Mapping[str, float], written: Mapping[str, float], newest: Mapping[str, int], frame_rate: float
 ) -> list[StatusLight]:
     """Return a light "arrival" for each camera, and a light "synchronisation" for each that has frames.
-
     The first shows whether frames still arrive, the second how far the camera is behind the others. The
     mappings are by camera: `silent` holds the time since its newest frame was noticed, s, `written` the time
-    at which this frame was written, s since the epoch, and `newest` its number. `frame_rate` is in Hz.
-    """
+    at which this frame was written, s since the epoch, and `newest` its number. `frame_rate` is in Hz."""
     out = []
     for camera, since in silent.items():
         state = _state(since - INTERVALS / frame_rate, LIMITS.silence)
@@ -244,9 +228,7 @@ def arrival_lights(
 
 def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight]:
     """Return the lights of misfit, fraction of measured nodes, and range of z for a measured step.
-
-    `first` holds the medians of `now` over the first steps, or None while they are not known.
-    """
+    `first` holds the medians of `now` over the first steps, or None while they are not known."""
     coverage = _state(now.coverage, LIMITS.coverage)
     if first is not None:
         coverage = _worse(coverage, _state(_ratio(now.coverage, first.coverage), RELATIVE.coverage))
@@ -271,10 +253,8 @@ def _ratio(value: float, reference: float) -> float:
 
 def _state(value: float, limits: Limits) -> State:
     """Return whether a value is good, doubtful or bad.
-
     `limits` are those of the states doubtful and bad. Small values are bad if the second limit is below the
-    first.
-    """
+    first."""
     doubtful, bad = limits
     if bad < doubtful:
         value, doubtful, bad = -value, -doubtful, -bad

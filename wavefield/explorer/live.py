@@ -61,9 +61,7 @@ class FolderWatch:
 
     def poll(self) -> None:
         """List the image folders and note the newest frame of each camera.
-
-        An error in a folder is kept in `trouble`, by camera.
-        """
+        An error in a folder is kept in `trouble`, by camera."""
         self._polled = time.monotonic()
         for name, section in self.experiment.cameras.items():
             try:
@@ -81,17 +79,13 @@ class FolderWatch:
 
     def silent(self) -> dict[str, float]:
         """Return, by camera, how long its newest frame had been known at the last `poll`, s.
-
-        For a camera without frames the time counts from the start of the watch.
-        """
+        For a camera without frames the time counts from the start of the watch."""
         return {name: self._polled - when for name, when in self._noticed.items()}
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
         """Return the newest two successive frames that all recording cameras have, or None if there are none.
-
         The number of the first of the two frames is above `after`. A camera far behind the others does not
-        count as recording.
-        """
+        count as recording."""
         latest = max(self.written.values(), default=0.0)
         longest = lights.LIMITS.delay[1]  # a camera further behind the others counts as stopped
         sending = [name for name, when in self.written.items() if latest - when <= longest]
@@ -137,9 +131,7 @@ class LiveMeasurement:
 
     def measure(self, frames: FrameSet) -> tuple[Fields, StepSummary | None]:
         """Measure the step between two frames: return its fields (ny, nx) by name, and its summary.
-
-        Returns ({}, None) without a rig or after an error; `trouble` then holds the reason.
-        """
+        Returns ({}, None) without a rig or after an error; `trouble` then holds the reason."""
         firsts = {name: both[0] for name, both in frames.images.items()}
         sizes = {name: (image.shape[1], image.shape[0]) for name, image in firsts.items()}
         if self.learner is None or (self.trouble and sizes != self._sizes):
@@ -167,9 +159,7 @@ class LiveMeasurement:
 
     def pairs(self, frames: FrameSet) -> dict[str, PairSummary]:
         """Return how well the cameras of each pair agree at the second frame, by pair such as "a-b".
-
-        The result is empty without a rig.
-        """
+        The result is empty without a rig."""
         if self.learner is None:
             return {}
         geometry = self.learner.geometry
@@ -195,9 +185,7 @@ class LiveMeasurement:
 
     def _prepare(self, images: Mapping[str, NDArray[Any]]) -> None:
         """Load the rig, and compute the geometry and the masks for the images, given by camera.
-
-        If this fails, `trouble` holds the reason and nothing is measured.
-        """
+        If this fails, `trouble` holds the reason and nothing is measured."""
         from wavefield.execution.workflow import Workflow
         from wavefield.pipeline.prepare import make_settings
 
@@ -237,9 +225,7 @@ class Learner:
 
     def add(self, frames: tuple[Frames, Frames], masks: tuple[Masks, Masks]) -> None:
         """Add the two frames of a step and their masks, by camera, and estimate the model again.
-
-        An estimate delays the measurement of the step, so it is skipped if the last one was recent.
-        """
+        An estimate delays the measurement of the step, so it is skipped if the last one was recent."""
         self._steps.append((frames, masks))
         begun = time.monotonic()
         if self.model is not None and begun < self._next_s:
@@ -271,9 +257,7 @@ class FollowedSet:
 
 class Follower:
     """Finds, measures and rates the newest frames of an experiment in its own thread.
-
-    Pages read the result from `latest`.
-    """
+    Pages read the result from `latest`."""
 
     def __init__(self, experiment: Experiment, rig: Rig | Path | None = None) -> None:
         self.experiment = experiment

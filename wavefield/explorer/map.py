@@ -32,10 +32,8 @@ _HEAD = 0.32  # length of an arrow's head over that of the arrow
 
 def map_aspect(ratio: float) -> float:
     """Return the width over the height of a map figure, with axes and colour bar.
-
     `ratio` is the width over the height of the field. The result is between 0.8 and 3. The margins are those
-    of a figure 900 px wide.
-    """
+    of a figure 900 px wide."""
     return float(np.clip(ratio * 900 / (768 + 60 * ratio), 0.8, 3.0))
 
 
@@ -47,10 +45,8 @@ def top_speed(u: Field, v: Field) -> float:
 
 def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Field, Field, float]:
     """Return lines x, y (7 n,), metres, that draw n velocity arrows, and their scale, m per m/s.
-
     u, v (ny, nx) are in m/s, at the nodes x (nx,) and y (ny,), metres. Each arrow has six points and a NaN
-    after them. An arrow of the speed `fastest`, m/s, is a little longer than the distance between arrows.
-    """
+    after them. An arrow of the speed `fastest`, m/s, is a little longer than the distance between arrows."""
     every = max(1, round(max(len(x), len(y)) / MARKS_ACROSS))
     thin = slice(every // 2, None, every)
     gap = every * float(np.mean(np.diff(x)))
@@ -141,9 +137,7 @@ class MapPanel:
 
     def _name_values(self, place: Place, code: str) -> bool:
         """Set the tooltip of the map for the variable shown, and return whether the tooltip changed.
-
-        `code` is JavaScript that formats the value of the variable.
-        """
+        `code` is JavaScript that formats the value of the variable."""
         shown = display(place.show)
         rows = [(shown.name, f"@image{{custom}} {shown.unit}"), _WHERE]
         changed = bool(self.hover.tooltips != rows)
@@ -154,10 +148,8 @@ class MapPanel:
 
     def limits(self, place: Place) -> tuple[float, float]:
         """Return the lower and upper end of the colour scale, in the displayed unit.
-
         They are the values that the user entered. Without these they are fitted to the step at which the
-        variable was first shown; they are (-1, 1) until a step with values is shown.
-        """
+        variable was first shown; they are (-1, 1) until a step with values is shown."""
         name = place.coloured
         if name not in self._fitted:
             values = self._record.field(name, place.step)

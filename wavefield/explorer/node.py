@@ -34,10 +34,8 @@ class Spectrum(NamedTuple):
 
 def longest_run(values: Array) -> Array:
     """Return the longest part of a series (n,) that has no gap of more than two steps.
-
     Gaps of one or two steps are filled by linear interpolation, as in `wavefield analyze`. The result is
-    empty if the series has no values.
-    """
+    empty if the series has no values."""
     from wavefield.waves.record import LONGEST_BRIDGE  # takes a second to import
 
     finite = np.flatnonzero(np.isfinite(values))
@@ -51,10 +49,9 @@ def longest_run(values: Array) -> Array:
 
 def spectrum(values: Array, dt: float, segment_s: float | None = None) -> Spectrum | None:
     """Return the Welch spectrum of the `longest_run` of a series (n,), or None if it has under 32 steps.
-
     `dt` is the time step, s. The segments overlap by half, under Hann windows, and last `segment_s`, s. By
-    default they have a power of two of steps, from 32 to 1024, so that a long run has at least eight of them.
-    """
+    default they have a power of two of steps, from 32 to 1024, so that a long run has at least eight of
+    them."""
     from scipy import signal  # takes most of a second to import
 
     from wavefield.waves.welch import interval
@@ -211,9 +208,7 @@ class NodePanel:
 
     def _series(self, name: str, unit_of: str = "") -> Array:
         """Return a variable, (time,), at the node of the thinned cube that is nearest to the picked node.
-
-        The values are in the unit in which the variable `unit_of` is displayed, by default `name` itself.
-        """
+        The values are in the unit in which the variable `unit_of` is displayed, by default `name` itself."""
         preview, factor = self._record.preview, display(unit_of or name).factor
         return preview.series(name, *self._index(preview.y, preview.x)) * np.float32(factor)
 
@@ -298,9 +293,7 @@ class NodePanel:
 
 def _reading(name: str, values: dict[str, float]) -> str:
     """Return a variable as text in its displayed unit, with its standard uncertainty if there is one.
-
-    `values` holds both, by `name` and `name_std`, in the units of the cube.
-    """
+    `values` holds both, by `name` and `name_std`, in the units of the cube."""
     shown, value, std = display(name), values[name], values.get(f"{name}_std", np.nan)
     if not np.isfinite(value):
         return f"{name} none"

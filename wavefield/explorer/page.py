@@ -217,9 +217,7 @@ class LookPage:
 
     def entered(self, name: str) -> str | int:
         """Return what the user entered in the list or slider `name`.
-
-        An invalid value, which a browser could send, is replaced by a valid one.
-        """
+        An invalid value, which a browser could send, is replaced by a valid one."""
         widget = self.controls[name]
         if isinstance(widget, Select):
             return parts.chosen(widget)
@@ -233,9 +231,7 @@ class LookPage:
 
     def _clicked(self, x: float, y: float) -> None:
         """Handle a click on the map at x, y, metres.
-
-        The point becomes a corner of a mask if the user is drawing masks; else the node there is picked.
-        """
+        The point becomes a corner of a mask if the user is drawing masks; else the node there is picked."""
         from wavefield.series.masks import WATER
 
         if not self._take_corner(WATER, x, y):
@@ -256,9 +252,7 @@ class LookPage:
 
     def _take_corner(self, image: str, x: float, y: float) -> bool:
         """Add a click at x, y to the mask if the user is drawing masks; return whether it was added.
-
-        `image` is the camera (x, y in px) or `WATER` (metres).
-        """
+        `image` is the camera (x, y in px) or `WATER` (metres)."""
         if self.entered("drag") != "mask":
             return False
         self._open_masks()

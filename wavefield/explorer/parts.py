@@ -64,9 +64,7 @@ class Place:
 
     def query(self) -> str:
         """Return the query of a link to this state.
-
-        Fields with their default value are left out, except the variable and the step.
-        """
+        Fields with their default value are left out, except the variable and the step."""
         pairs = {}
         for field in fields(self):
             value = getattr(self, field.name)
@@ -81,10 +79,8 @@ class Place:
         cls, query: Mapping[str, str], names: Sequence[str] = (), steps: int = 0, first: int = 0
     ) -> "Place":
         """Return the state that the query of a link describes; values that are not valid are ignored.
-
         `query` maps names of fields to text. `names` are the variables of the cube, `steps` is its number of
-        steps, and `first` is the step of the state if the query has none.
-        """
+        steps, and `first` is the step of the state if the query has none."""
         out = cls(step=first, show="w" if "w" in names or not names else names[0])
         choices = _CHOICES | {"show": tuple(names)}
         for name, text in query.items():
@@ -96,9 +92,7 @@ class Place:
 
 def _parse(name: str, text: str, choices: Mapping[str, Sequence[str]]) -> Value:
     """Return the value of one field of a query; None if the text is not valid.
-
-    `choices` lists the valid values by field; an empty list allows any text.
-    """
+    `choices` lists the valid values by field; an empty list allows any text."""
     try:
         if name == "step":
             return int(text)
@@ -183,9 +177,7 @@ class LazyPanel(Generic[P]):
 
 def make_figure(name: str, **settings: object) -> figure:
     """Return a Bokeh figure in the style of the pages: full width, light grid, no toolbar.
-
-    `settings` are those of `bokeh.plotting.figure`, and replace the style.
-    """
+    `settings` are those of `bokeh.plotting.figure`, and replace the style."""
     settings = _DEFAULTS | settings
     if isinstance(settings["tools"], str):
         wheels = [tool for tool in settings["tools"].split(",") if tool.endswith("wheel_zoom")]
@@ -207,9 +199,7 @@ def make_figure(name: str, **settings: object) -> figure:
 
 def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UIElement]) -> Tabs:
     """Return tabs with titles and bodies; `active` is the index of the open one.
-
-    A body never widens the page, and a hidden one is not laid out.
-    """
+    A body never widens the page, and a hidden one is not laid out."""
     tabs = [TabPanel(child=body, title=title) for title, body in zip(titles, bodies)]
     narrow = {"grid-template-columns": "minmax(0, 1fr)", "min-width": "0"}
     made = Tabs(tabs=tabs, active=active, name=name, sizing_mode="stretch_width", styles=narrow)
@@ -245,9 +235,7 @@ def clear(*sources: ColumnDataSource) -> None:
 
 def on_click(made: figure, handle: Callable[[Tap], None]) -> None:
     """Call `handle` at every click on a figure.
-
-    Bokeh reports a second click within 0.3 s as another event, which is handled as well.
-    """
+    Bokeh reports a second click within 0.3 s as another event, which is handled as well."""
     for event in (Tap, DoubleTap):
         made.on_event(event, handle)
 
@@ -256,9 +244,8 @@ def add_hover(
     made: figure, *rows: tuple[str, str], renderers: Sequence[object] = (), mode: str = "mouse"
 ) -> None:
     """Add a tooltip for the point under the pointer to a figure; each row is a name and a format of Bokeh.
-
-    `renderers` are the drawings with a tooltip, by default all. `mode` is an argument of Bokeh's HoverTool.
-    """
+    `renderers` are the drawings with a tooltip, by default all. `mode` is an argument of Bokeh's
+    HoverTool."""
     drawn = list(renderers) or "auto"
     made.add_tools(HoverTool(tooltips=list(rows), mode=mode, renderers=drawn, line_policy="nearest"))
 
@@ -278,11 +265,9 @@ def apply_template(
     aspect: float = 1.3,
 ) -> None:
     """Set the HTML template of a Bokeh document.
-
     `heading` and `command`, the name of the wavefield command, make the title. `places` are the names of the
     root elements, in order. With `keys` the page lists the keyboard keys. `aspect`, the width over the height
-    of the map, limits the width of the tabs so that the map fits into the height of the window.
-    """
+    of the map, limits the width of the tabs so that the map fits into the height of the window."""
     document.title = f"{heading} – wavefield {command}"
     document.template = Environment(autoescape=True).from_string(asset("page.html"))
     document.template_variables.update(
@@ -333,9 +318,7 @@ def named(names: Sequence[str]) -> list[tuple[str, str]]:
 
 def draw_band(made: figure, source: ColumnDataSource, x: str, y: str, **line: object) -> None:
     """Draw a line through the columns x and y of a source, and the band between its columns `low` and `high`.
-
-    `line` are settings of the line, as in Bokeh.
-    """
+    `line` are settings of the line, as in Bokeh."""
     made.varea(x, "low", "high", source=source, fill_color=BLUE, fill_alpha=0.22)
     made.line(x, y, source=source, **({"line_color": BLUE, "line_width": 1.6} | line))
 
@@ -348,10 +331,8 @@ def draw_ring(made: figure, source: ColumnDataSource, x: str, y: str, colour: st
 
 def probe_columns(names: Sequence[str], x: Series, y: Series, middle: float) -> dict[str, list[object]]:
     """Return the columns of a source for `draw_probes`, for probes at x, y (n,), metres.
-
     A name stands on the right of its probe. If x is above `middle`, metres, it stands on the left, so that it
-    does not leave the map.
-    """
+    does not leave the map."""
     right = [float(at) > middle for at in x]
     return {
         "x": list(x),
@@ -409,9 +390,7 @@ def colour_bar(mapper: LinearColorMapper) -> ColorBar:
 
 def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
     """Return the columns of a data source that draws values (ny, nx) as one image.
-
-    Each pixel is centred on its node, at x (nx,) and y (ny,), metres.
-    """
+    Each pixel is centred on its node, at x (nx,) and y (ny,), metres."""
     dx, dy = (float(v[-1] - v[0]) / max(len(v) - 1, 1) or 1.0 for v in (x, y))
     return {
         "image": [np.ascontiguousarray(values, np.float32)],
@@ -427,10 +406,8 @@ def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
 
 def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
     """Return x and the series (n,), thinned to the same m samples so that crests and troughs stay visible.
-
     In each bin of successive samples, the two are kept at which the first series is lowest and highest.
-    Series of at most `MOST_POINTS` samples are returned unchanged.
-    """
+    Series of at most `MOST_POINTS` samples are returned unchanged."""
     if x.size <= MOST_POINTS:
         return (x, *series)
     width = -(-2 * x.size // MOST_POINTS)
@@ -446,11 +423,9 @@ def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
 
 def band(value: Series, std: Series, thinned: bool) -> tuple[Series, Series]:
     """Return the edges value - std and value + std, each (n,), of a band; NaN in gaps.
-
     `thinned` tells that `envelope` has thinned the series, which then alternates between crests and troughs.
     The band is widened in that case to enclose the two neighbours of each point, because an alternating band
-    would hide the line.
-    """
+    would hide the line."""
     low, high = value - std, value + std
     if not thinned:
         return low, high

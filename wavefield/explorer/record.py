@@ -42,9 +42,8 @@ def nearest(positions: NDArray[np.floating], requested: float) -> int:
 
 class CubeRecord:
     """A cube, finished or not, from which a page reads single steps.
-
-    Series come from a thinned copy of the cube, `preview`. Raises StoreError if there is no cube at `path`.
-    """
+    Series come from a thinned copy of the cube, `preview`. Raises StoreError if there is no cube at
+    `path`."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path).absolute()

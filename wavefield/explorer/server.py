@@ -42,9 +42,7 @@ def requested_place(session: LookSession, query: dict[str, str]) -> Place:
 
 def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
     """Return x and y, metres, of the node nearest to the middle of the grid that has a value at this step.
-
-    If no node has a value, it is the node nearest to the middle.
-    """
+    If no node has a value, it is the node nearest to the middle."""
     x, y = np.meshgrid(record.x - record.x.mean(), record.y - record.y.mean())
     distance = np.hypot(x, y)
     with suppress(StoreError):  # the map reports a damaged step
@@ -92,9 +90,7 @@ class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has 
 
     def _allows(self, request: HTTPServerRequest) -> bool:
         """Return whether a request has the token, is sent to this machine, and comes from its own pages.
-
-        Any port is accepted, because an SSH tunnel may use another port.
-        """
+        Any port is accepted, because an SSH tunnel may use another port."""
         given = request.path.split("/")[1] if request.path.startswith("/") else ""
         host = request.headers.get("Host", "")
         own = re.fullmatch(rf"({'|'.join(map(re.escape, _HOSTS))})(:\d{{1,5}})?", host) is not None
@@ -116,10 +112,8 @@ class PageServer(BaseServer):  # type: ignore[misc]
 
 def make_server(make_page: Callable[[Document], None], port: int | None) -> PageServer:
     """Return a server of pages that only this machine can open.
-
     `make_page` fills the Bokeh document of each browser tab. `port` is by default the first free one of
-    `DEFAULT_PORTS`. Raises WavefieldError if no port is free.
-    """
+    `DEFAULT_PORTS`. Raises WavefieldError if no port is free."""
     ports = DEFAULT_PORTS if port is None else range(port, port + 1)
     for number in ports:
         try:
@@ -142,9 +136,7 @@ def make_server(make_page: Callable[[Document], None], port: int | None) -> Page
 
 def session_server(session: LookSession, port: int | None = None) -> PageServer:
     """Return a server of the pages of a cube; each browser tab opens in the state that its link describes.
-
-    `port` is by default the first free one of `DEFAULT_PORTS`. Raises WavefieldError if no port is free.
-    """
+    `port` is by default the first free one of `DEFAULT_PORTS`. Raises WavefieldError if no port is free."""
 
     def make_page(document: Document) -> None:
         arguments = document.session_context.request.arguments or {}
@@ -159,10 +151,8 @@ def session_server(session: LookSession, port: int | None = None) -> PageServer:
 
 class ServedPage:
     """A page that a notebook can show in a frame, because its server runs in its own thread.
-
     The function `make` returns the server; it is called in that thread. An error in `make` is raised when the
-    page is created.
-    """
+    page is created."""
 
     def __init__(self, make: Callable[[], PageServer]) -> None:
         self._ready = threading.Event()

@@ -22,9 +22,7 @@ _WRAP = {"flex-wrap": "wrap"}
 
 def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
     """Return log10(density / its largest value), in the shape of `density`, clipped below at -`DECADES`.
-
-    All values are NaN if the density is nowhere positive.
-    """
+    All values are NaN if the density is nowhere positive."""
     top = float(np.nanmax(density)) if np.isfinite(density).any() else 0.0
     if top <= 0:
         return np.full(density.shape, np.nan, np.float32)
@@ -34,10 +32,8 @@ def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
 
 def doppler_relation(k: NDArray[np.floating], current: float, depth: float) -> NDArray[np.floating]:
     """Return the frequencies, Hz, at a fixed point, of free waves on a current, in the shape of k.
-
     k is their wavenumber, rad/m. `current` is the component of the current in the direction of the waves,
-    m/s, and `depth` the depth of the water, m.
-    """
+    m/s, and `depth` the depth of the water, m."""
     return np.asarray((water.dispersion(k, depth) + k * current) / (2 * np.pi))
 
 

@@ -65,10 +65,9 @@ class Display:
 
     def limits(self, values: NDArray[np.floating]) -> tuple[float, float]:
         """Return the lower and upper end of the colour scale for values in the displayed unit, to two digits.
-
         The upper end is the 99.5 % quantile of |values|. For a signed variable the lower end is the negative
-        of the upper end. For others it is zero, or the 0.5 % quantile if that exceeds half of the upper end.
-        """
+        of the upper end. For others it is zero, or the 0.5 % quantile if that exceeds half of the upper
+        end."""
         half = float(f"{limit(values):.2g}")
         if self.signed:
             return -half, half
@@ -79,9 +78,7 @@ class Display:
 
 def display(name: str) -> Display:
     """Return how the variable `name` is displayed, such as z in cm and velocities in cm/s.
-
-    Standard uncertainties and misfits that are lengths are in mm.
-    """
+    Standard uncertainties and misfits that are lengths are in mm."""
     units = TABLE[name].units
     if units == "m" and name != "z":
         return Display(name, 1000.0, "mm")
@@ -104,10 +101,8 @@ KINDS: tuple[tuple[str, str, str], ...] = (
 
 def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
     """Return the kind of each value of `quality`, as an index into the list `KINDS`, in the same shape.
-
     Each kind is one quality bit. If several bits of a value are set, the kind that comes first in the list
-    counts. The index is `len(KINDS)` if no kind applies.
-    """
+    counts. The index is `len(KINDS)` if no kind applies."""
     out = np.full(np.shape(quality), len(KINDS), np.uint8)
     for index in range(len(KINDS) - 1, -1, -1):
         out[(np.asarray(quality) & np.uint16(Quality[KINDS[index][0]])) != 0] = index

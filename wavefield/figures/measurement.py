@@ -143,10 +143,8 @@ def _draw_density(
     axes: Axes, values: np.ndarray, unit: str, name: str, style: dict[str, object], span: float
 ) -> float:
     """Draw the probability density of values (any shape), and return their standard deviation.
-
     The curve covers values within `span` of the mean. `unit` and `name` go into the legend, `style` holds the
-    settings of the line.
-    """
+    settings of the line."""
     finite = values[np.isfinite(values)]
     sigma, mean = (float(finite.std()), float(finite.mean())) if finite.size else (0.0, 0.0)
     bins = np.linspace(mean - span, mean + span, 121) if span else np.linspace(-1, 1, 121)
@@ -166,9 +164,7 @@ def _draw_gaussian(axes: Axes, sigma: float, mean: float, span: float) -> None:
 
 def _displacements(cube: xr.Dataset, factor: float) -> dict[str, np.ndarray]:
     """Return the displacements in one step, (time, y, x), m, times a factor, by the keys "u", "v" and "w".
-
-    `cube` has the velocities u, v, w in m/s and the attribute frame_rate, Hz.
-    """
+    `cube` has the velocities u, v, w in m/s and the attribute frame_rate, Hz."""
     rate = float(cube.attrs["frame_rate"])
     return {name: factor / rate * cube[name].values.astype(float) for name in _DISPLACEMENTS}
 

@@ -63,10 +63,8 @@ def panels(
     columns: int, rows: int = 1, *, width: float = 5.2, height: float = 4.1, projection: str | None = None
 ) -> tuple[Figure, NDArray[np.object_]]:
     """Return a figure with rows and columns of axes, and the axes (rows, columns); pyplot is not used.
-
     `width` and `height` are the size of one panel in inches. `projection` is a projection of matplotlib, such
-    as "3d".
-    """
+    as "3d"."""
     with matplotlib.rc_context(_RC):
         figure = NotebookFigure(figsize=(width * columns, height * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": projection})
@@ -77,9 +75,7 @@ def map_panels(
     field: xr.DataArray, columns: int, rows: int = 1, *, width: float = 5.2
 ) -> tuple[Figure, NDArray[np.object_]]:
     """Return a figure and its axes (rows, columns) with the proportions for maps of a field (y, x).
-
-    `width` is the width of one panel in inches.
-    """
+    `width` is the width of one panel in inches."""
     wide, high = (float(np.ptp(field[d].values)) or 1.0 for d in ("x", "y"))
     height = float(np.clip(0.74 * width * high / wide + 0.85, 1.6, 1.5 * width))
     return panels(columns, rows, width=width, height=height)
@@ -104,9 +100,7 @@ def draw_cells(
     extend: str = "both",
 ) -> None:
     """Draw values (ny, nx) as cells around their centres x (nx,), y (ny,), with a colour bar.
-
-    `label` and `extend` are those of the colour bar, as in matplotlib.
-    """
+    `label` and `extend` are those of the colour bar, as in matplotlib."""
     drawn = axes.pcolormesh(
         edges(x), edges(y), np.ma.masked_invalid(values), norm=norm, cmap=cmap, rasterized=True
     )
@@ -131,10 +125,8 @@ def draw_map(
     norm: Normalize | None = None,
 ) -> None:
     """Draw a map of a field (y, x) times a factor, with a colour bar.
-
     `scale` holds the values at the lower and upper end of the colours; by default they are balanced about
-    zero. If `norm`, a matplotlib norm, is given, it sets the colours in place of `scale`.
-    """
+    zero. If `norm`, a matplotlib norm, is given, it sets the colours in place of `scale`."""
     values = factor * np.asarray(field.transpose("y", "x").values, float)
     if scale is None:
         half = limit(values)
@@ -150,9 +142,7 @@ def draw_positive_map(
     axes: Axes, field: xr.DataArray, label: str, factor: float = 1.0, percent: float = 99
 ) -> None:
     """Draw a map of a positive field (y, x) times a factor, with a colour bar.
-
-    The colours go from 0 to the percentile `percent` of the field.
-    """
+    The colours go from 0 to the percentile `percent` of the field."""
     top = factor * limit(field, percent)
     draw_map(axes, field, label, factor=factor, cmap=POSITIVE, scale=(0, top))
 
@@ -193,9 +183,7 @@ def draw_curves(
     valid: np.ndarray | None = None,
 ) -> None:
     """Draw labelled curves (n,) over x (n,), each in the next style of `styles`.
-
-    `log` names the logarithmic axes, such as "xy". Curves are thin and pale where `valid` (n,) is False.
-    """
+    `log` names the logarithmic axes, such as "xy". Curves are thin and pale where `valid` (n,) is False."""
     for style, (label, values) in zip(styles, curves.items(), strict=False):
         drawn = positive(values) if "y" in log else np.asarray(values)
         if valid is not None:
@@ -207,9 +195,7 @@ def draw_curves(
 
 def plain_axes(axes: Axes, **legend: object) -> None:
     """Add a light grid to a line plot, and a legend outside the axes if its lines have labels.
-
-    `legend` holds arguments of matplotlib's `Axes.legend`.
-    """
+    `legend` holds arguments of matplotlib's `Axes.legend`."""
     axes.grid(True, which="major", color="0.88", linewidth=0.7)
     axes.set_axisbelow(True)
     if labels := axes.get_legend_handles_labels()[1]:
@@ -222,9 +208,7 @@ def finish(
     axes: Axes, xlabel: str, ylabel: str, legend: Mapping[str, object] | None = None, **properties: object
 ) -> None:
     """Set the axis labels of a line plot, and add a grid and a legend.
-
-    `legend` holds arguments of matplotlib's `Axes.legend`, `properties` further arguments of `Axes.set`.
-    """
+    `legend` holds arguments of matplotlib's `Axes.legend`, `properties` further arguments of `Axes.set`."""
     axes.set(xlabel=xlabel, ylabel=ylabel, **properties)
     plain_axes(axes, **(legend or {}))
 

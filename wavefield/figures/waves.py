@@ -296,9 +296,7 @@ def _draw_above(
     ax: Axes, x: np.ndarray, y: np.ndarray, values: np.ndarray, level: np.ndarray | float, label: str
 ) -> None:
     """Draw `values`, a coherence (ny, nx), in colour where it exceeds `level`, and in grey elsewhere.
-
-    x (nx,) and y (ny,) are the coordinates of the values. `label` is that of the colour bar.
-    """
+    x (nx,) and y (ny,) are the coordinates of the values. `label` is that of the colour bar."""
     ax.set_facecolor("0.92")
     above = np.where(values > level, values, np.nan)
     draw_cells(ax, x, y, above, label, norm=Normalize(0, 1), cmap=POSITIVE, extend="neither")

@@ -26,10 +26,8 @@ CONVERTED = (np.uint8, np.uint16, np.float32)  # types of colour images that Ope
 
 def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
     """Return an image as grey levels in the file's type, (row, column), from TIFF, PNG, BMP, JPEG or IM7.
-
     `page` is the index, from 0, of an image in a file that has several. FrameError if the file is missing,
-    damaged or of another format.
-    """
+    damaged or of another format."""
     path = Path(path)
     refuse_pipe(path, FrameError)
     if path.suffix.lower() == ".im7":
@@ -47,10 +45,8 @@ def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
 
 def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
     """Return a grey image, (row, column), from an open file; FrameError if it is damaged or unknown.
-
     `name` is the file's name in messages. `page` is the index of an image in a TIFF file, needed if it has
-    several.
-    """
+    several."""
     start = stream.read(4)
     stream.seek(0)
     if start in tiff.STARTS:
@@ -78,9 +74,7 @@ def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
 
 def _decode(data: bytes, start: bytes) -> np.ndarray | None:
     """Return the image in the bytes of a PNG, JPEG or BMP file: (row, column) or (row, column, RGB).
-
-    `start` is the first bytes of the file, which tell the format; None if they are of another format.
-    """
+    `start` is the first bytes of the file, which tell the format; None if they are of another format."""
     if start == PNG:
         return np.asarray(imagecodecs.png_decode(data))
     if start[:3] == JPEG:  # strict: warnings of libjpeg, such as truncated data, are errors
@@ -106,10 +100,8 @@ def _unknown(name: str, start: bytes) -> str:
 
 def grey(image: np.ndarray) -> np.ndarray:
     """Return the luminance, (row, column), of an image (row, column, channel), in the image's type.
-
     The channels are red, green, blue and possibly alpha, which is ignored. An image of one or two channels
-    gives its first channel; an image (row, column) is returned unchanged.
-    """
+    gives its first channel; an image (row, column) is returned unchanged."""
     if image.ndim == 2:
         return image
     if image.shape[2] < 3:
@@ -134,11 +126,9 @@ def _quiet() -> Iterator[None]:
 
 def write_image(path: str | Path, image: np.ndarray, product: Product | None = None) -> None:
     """Write one grey image, (row, column), completely or not at all; the ending of `path` is the format.
-
     TIFF is written uncompressed, and other formats, such as ``.png``, by OpenCV. Without a `product` any
     plain file at `path` is replaced. With a `product` a file is replaced only if it is the same product,
-    unchanged. FrameError if the image cannot be written.
-    """
+    unchanged. FrameError if the image cannot be written."""
     path = Path(path)
     try:
         with atomic(path, product, replace=product is None) as draft:

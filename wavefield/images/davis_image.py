@@ -16,10 +16,8 @@ MAX_COMPRESSION = 2000  # pixels per byte of a file; zlib does not compress more
 
 def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
     """Return one image of a DaVis file (.im7), (row, column), in counts; needs LaVision's package lvpyio.
-
     `frame` is the index of the image, from 0; it is needed if the file has several. FrameError if the package
-    or the file is missing, or if the file is damaged or has no such image.
-    """
+    or the file is missing, or if the file is damaged or has no such image."""
     path = Path(path)
     try:
         import lvpyio
@@ -42,9 +40,7 @@ def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
 
 def count_frames(path: Path) -> int:
     """Return the number of images in an .im7 file; FrameError if the file or its header is damaged.
-
-    The header is checked here because LaVision's reader may hang on a damaged one.
-    """
+    The header is checked here because LaVision's reader may hang on a damaged one."""
     try:
         size = path.stat().st_size
         with path.open("rb") as stream:

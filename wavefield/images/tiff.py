@@ -27,10 +27,8 @@ PAGES_TRIED = 4  # pages that are tested for thumbnails: if none of these is one
 
 class TiffImages:
     """The images of a TIFF file, (row, column) or (row, column, RGB), without its thumbnails.
-
     `source` is a path or an open file, `name` the file's name in messages. FrameError if it is not a valid
-    TIFF file. ImageJ's stacks beyond 4 GB are read too; they describe only their first image.
-    """
+    TIFF file. ImageJ's stacks beyond 4 GB are read too; they describe only their first image."""
 
     def __init__(self, source: str | BinaryIO, name: str) -> None:
         self.name = name
@@ -51,9 +49,7 @@ class TiffImages:
 
     def read(self, index: int) -> NDArray[Any]:
         """Return the image at an index from 0, (row, column) or (row, column, RGB).
-
-        FrameError if the image is absent, damaged or of an unsupported kind.
-        """
+        FrameError if the image is absent, damaged or of an unsupported kind."""
         try:
             number = index if self._stacked else self._pages[index]
             page: Any = self.file.pages[0 if self._stacked else number]
@@ -99,9 +95,7 @@ def _is_frame(page: tifffile.TiffPage) -> bool:
 
 def refuse_page(page: Any, name: str) -> None:
     """Raise FrameError unless a page is a grey or colour image of real numbers that can be decoded.
-
-    `page` is a page of tifffile, `name` the file's name in messages.
-    """
+    `page` is a page of tifffile, `name` the file's name in messages."""
     if page.dtype is not None and page.dtype.kind == "c":
         raise FrameError(f"{name} has complex pixels; save their magnitudes")
     if page.imagedepth > 1:
@@ -127,10 +121,8 @@ def _words(code: Any) -> str:
 
 def _refuse_missing_parts(page: Any, size: int) -> None:
     """Raise ValueError if pixels of a page are missing in the file, of `size` bytes.
-
     Without this check tifffile would return zeros for strips or tiles that are empty or beyond the end of the
-    file.
-    """
+    file."""
     ends = [start + count for start, count in zip(page.dataoffsets, page.databytecounts)]
     if not ends or min(page.databytecounts) == 0 or max(ends) > size:
         raise ValueError("the file ends before its pixels")
@@ -138,11 +130,9 @@ def _refuse_missing_parts(page: Any, size: int) -> None:
 
 def _as_bright(page: Any, image: NDArray[Any], name: str) -> NDArray[Any]:
     """Return the decoded image of a page so that large values are bright: (row, column[, RGB]).
-
     Alpha is dropped, a palette is applied, an image in which 0 is white is inverted, and single bits become 0
     or 255. `name` is the file's name in messages. FrameError if an image in which 0 is white has signed
-    numbers.
-    """
+    numbers."""
     if image.ndim == 3 and page.planarconfig == tifffile.PLANARCONFIG.SEPARATE:
         image = np.moveaxis(image, 0, -1)
     if page.extrasamples:

@@ -43,12 +43,10 @@ SLOPE_RINGS = 6  # the exponent is fitted to the last significant rings, this ma
 
 def first_prior(fields: Sequence[Float], information: float, area: float = FOOTPRINT_VARIANCE) -> Prior:
     """Return the prior with the mean spectrum of some fields (c, ny, nx), the same in all directions.
-
     The fields come from sample frames, by matching with a window. They have no holes and no slopes at their
     edges (`edge_field` was subtracted). Windows damp short waves, so the caller raises this spectrum before
     refining it (`Prior.with_min_signal_to_noise`). `information` is the typical inverse variance of the value
-    of a block; `area` is the variance of the area that this value averages over, px^2.
-    """
+    of a block; `area` is the variance of the area that this value averages over, px^2."""
     binning = WavenumberRings(*wavenumbers(fields[0].shape[-2:]))
     power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
     return Prior.isotropic(binning.k, binning.mean(power).tolist(), information, area)
@@ -114,11 +112,9 @@ def _signals_and_noise(
     noise_alone: Sequence[tuple[Float, float]],
 ) -> tuple[Float, Float, Float]:
     """Return the power of waves in rings and in sectors, and the power of noise in rings.
-
     The shapes are (c, rings), (c, sectors, rings) and (c, rings). All powers are divided by the squared gain
     of the MAP field. `waves`, `information` and `noise_alone` are those of `refined_prior`; `spectrum` and
-    the footprint `foot` are (c, my, mx) and (my, mx).
-    """
+    the footprint `foot` are (c, my, mx) and (my, mx)."""
 
     def block_noise(of: float) -> Float:
         return np.asarray(1.0 / (np.square(foot, dtype=np.float64) * of))
@@ -142,10 +138,8 @@ def _over_gain(
     fields: Sequence[Float], spectrum: Float, noise: Float, mean: Callable[[Float], Float]
 ) -> tuple[Float, Float]:
     """Return the power of MAP fields and of their noise, both divided by the mean squared gain.
-
     `fields` are coefficients (c, my, mx); `noise` is the noise N of a mode. `mean` averages over the modes of
-    rings or sectors, and its result has their shape.
-    """
+    rings or sectors, and its result has their shape."""
     power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
     spectrum = np.broadcast_to(spectrum, power.shape)
     squared_gain = np.square(spectrum / (spectrum + noise))
@@ -157,10 +151,8 @@ def _undetected_fraction(
     measured: Float, rings: Float, noise: Float, detected: NDArray[np.bool_], binning: WavenumberRings
 ) -> float:
     """Return which fraction of its upper limit, 0 to 1, the power of rings without significant waves is.
-
     It is the slope of a line through the points (upper limit / noise, measured power / noise) of these rings,
-    corrected for an error of the noise. All arrays are (c, rings); `rings` holds the upper limits.
-    """
+    corrected for an error of the noise. All arrays are (c, rings); `rings` holds the upper limits."""
     limit, found = rings / noise, measured / noise
     weight = binning.count * (~detected & (binning.middle < SHORTEST_IN_LIMITS))
     total = max(float(weight.sum()), 1e-30)
@@ -172,11 +164,9 @@ def _undetected_fraction(
 
 def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
     """Return the power of each sector over the power of its ring, (c, sectors, rings).
-
     `estimate` is the measured ratio. It is averaged over neighbouring rings, with `weight` (which is set to 0
     beyond the last significant ring), and drawn towards 1 where modes are few. From ring number `last` of
-    each component on, it is constant.
-    """
+    each component on, it is constant."""
     for one, last in zip(weight, lasts):
         one[:, last:] = 0.0
     total_weight = convolve1d(weight, RING_SMOOTHING, axis=-1, mode="constant")
@@ -208,10 +198,8 @@ def shrinkage(variance: float, noise: float, waves: float) -> float:
 
 def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
     """Return the smallest mean of the ratio of power to noise over five neighbouring rings.
-
     It belongs to rings without waves. `count` is the number of modes in each ring. With fewer than five
-    rings, it is 1.
-    """
+    rings, it is 1."""
     if ratio.size < NOISE_RINGS:
         return 1.0
     box = np.ones(NOISE_RINGS)
@@ -227,10 +215,8 @@ def _extrapolated(
     upper_limit: Float | float = np.inf,
 ) -> tuple[float, ...]:
     """Replace the spectrum `power` (rings,) after its first `last` rings by a power law.
-
     The power law is fitted to the last of these rings, and kept below the upper limit. `k` are the
-    wavenumbers of the rings; `noise` sets a lower bound of the power.
-    """
+    wavenumbers of the rings; `noise` sets a lower bound of the power."""
     out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
     first = max(last - SLOPE_RINGS, 1)
     slope = SLOPE_RANGE[1]

@@ -106,33 +106,25 @@ class Modes:
 
     def block_mean(self, waves: Float) -> Float:
         """Return what the blocks measure of a field: its averages over the area of a block, (c, ny, nx).
-
-        The field is given by its cosine coefficients `waves` (c, my, mx).
-        """
+        The field is given by its cosine coefficients `waves` (c, my, mx)."""
         return self.field(self.foot * waves)
 
     def split(self, field: Float) -> tuple[Float, Float]:
         """Split a field (c, ny, nx) without holes into a smooth part (c, ny, nx) and cosines of the rest.
-
         The smooth part (`edge_field`) has the field's slopes at the edges, where cosines have no slope. It is
-        reduced if the slopes are noisy. The rest is returned as cosine coefficients (c, my, mx).
-        """
+        reduced if the slopes are noisy. The rest is returned as cosine coefficients (c, my, mx)."""
         edges = self._kept * edge_field(field)
         return edges, self.waves(field - edges)
 
     def factor(self, information: Float) -> Factor:
         """Return the factorised preconditioner for `solve`, common to all components of the field.
-
-        `information` (ny, nx) is the inverse variance of the value of each block.
-        """
+        `information` (ny, nx) is the inverse variance of the value of each block."""
         return self._preconditioner.factor(information)
 
     def tolerances(self, information: Float) -> tuple[float, float]:
         """Return two tolerances for `solve`: for the first evaluation of the images, and for later ones.
-
         They are smaller if `information` (ny, nx), the inverse variance of each block, has large holes: there
-        the field converges last.
-        """
+        the field converges last."""
         hole = hole_mask(information, self.prior.information) & self._requested
         return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
 
@@ -146,14 +138,12 @@ class Modes:
         block_mean: Float | None = None,
     ) -> Float:
         """Solve (F A F + 1/S) f = F b by conjugate gradients; return the coefficients f (c, my, mx).
-
         F is the footprint of a block, and S the spectrum. `information` is A, the inverse variance of every
-        block: (1, ny, nx) for one component, (3, ny, nx) with xx, xy, yy for two. `right` (c, ny, nx) is
-        b = A u + s / nu, with the matched field u minus its smooth part (`split`), the scores s and their
-        noise nu. `start` (c, my, mx) is a first guess of f. `block_mean` is its field averaged over blocks
+        block: (1, ny, nx) for one component, (3, ny, nx) with xx, xy, yy for two. `right` (c, ny, nx) is b =
+        A u + s / nu, with the matched field u minus its smooth part (`split`), the scores s and their noise
+        nu. `start` (c, my, mx) is a first guess of f. `block_mean` is its field averaged over blocks
         (`block_mean`), computed if None. `factor` comes from the method `factor`. The solver stops if the rms
-        residual of the modes, in units of their uncertainty, is below `tolerance`.
-        """
+        residual of the modes, in units of their uncertainty, is below `tolerance`."""
         a, c = information, len(right)
         block_mean = self.block_mean(start) if block_mean is None else block_mean
         residual = self.foot * self.waves(right - _apply_information(a, block_mean)) - self.inverse * start
@@ -182,9 +172,7 @@ class Modes:
 
 def _apply_information(a: Float, field: Float) -> Float:
     """Multiply a field of one or two components, (c, ny, nx), by the information A of each block.
-
-    `a` is (1, ny, nx) for one component, (3, ny, nx) with xx, xy, yy of a symmetric matrix for two.
-    """
+    `a` is (1, ny, nx) for one component, (3, ny, nx) with xx, xy, yy of a symmetric matrix for two."""
     if len(field) == 1:
         return a * field
     u, v = field
@@ -194,9 +182,7 @@ def _apply_information(a: Float, field: Float) -> Float:
 @reassociating
 def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
     """Replace A F p in `image` by (F A F + 1/S) p, in place; return its inner product with p.
-
-    `foot` is F, `inverse` is 1/S, and `direction` is p.
-    """
+    `foot` is F, `inverse` is 1/S, and `direction` is p."""
     total = F(0)
     for i in range(len(image)):
         value = foot[i] * image[i] + inverse[i] * direction[i]
@@ -222,9 +208,7 @@ def _update_direction(ratio: F, step: Float, direction: Float) -> None:
 
 def _freedom(gain: Float) -> float:
     """Return the fraction of the variance of cluster scores that a fit leaves over, at least 0.2.
-
-    A cluster is 5 x 5 blocks; `gain` (ny, nx) is the amplitude gain of the fit for each cosine mode.
-    """
+    A cluster is 5 x 5 blocks; `gain` (ny, nx) is the amplitude gain of the fit for each cosine mode."""
     rows, columns = (_box(n) for n in gain.shape)
     power = np.square(rows[:, None] * columns)
     return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
@@ -294,9 +278,7 @@ class Cosines:
 
     def split_parities(self, waves: Float) -> Float:
         """Sort cosine coefficients (c, my, mx) into even and odd modes: (2, my / 2, 2, c, mx / 2).
-
-        The first axis is the parity along y, the third the parity along x: 0 for even, 1 for odd modes.
-        """
+        The first axis is the parity along y, the third the parity along x: 0 for even, 1 for odd modes."""
         c, (my, mx) = len(waves), self.shape
         parts = waves.reshape(c, my // 2, 2, mx // 2, 2).transpose(2, 1, 4, 0, 3)
         return np.ascontiguousarray(parts, F)
@@ -308,10 +290,8 @@ class Cosines:
 
     def quarters(self, field: Float) -> Float:
         """Return the even and odd parts of a field (c, ny, nx), each on a quarter of the lattice.
-
         The result is (2, hy, 2, c, hx), with hy and hx half of ny and nx, rounded up. The first axis is the
-        parity along y, the third the parity along x: 0 for even, 1 for odd.
-        """
+        parity along y, the third the parity along x: 0 for even, 1 for odd."""
         hy, hx = self._half
         out = np.empty((2, hy, 2, len(field), hx), F)
         _fold(np.ascontiguousarray(field, F), out)
@@ -319,10 +299,8 @@ class Cosines:
 
     def mirrored(self, field: Float) -> Float:
         """Return a field (c, ny, nx) as its four quarters, each mirrored onto the first: (2, 2, c, hy, hx).
-
         hy and hx are half of ny and nx, rounded up. The middle row or column of an odd number is counted
-        once; its mirror image is 0.
-        """
+        once; its mirror image is 0."""
         (ny, nx), (hy, hx) = self.lattice, self._half
         # the middle of an odd number of blocks is its own mirror image and is counted once
         out = np.zeros((2, 2, len(field), hy, hx), F)
@@ -401,11 +379,9 @@ def _unfold(quarters: Float, out: Float) -> None:
 @reassociating
 def multiply(a: Float, quarters: Float) -> None:
     """Multiply a field by the information A at every block, in place.
-
     `quarters` (2, hy, 2, c, hx) holds the field's even and odd parts, as in `Cosines.quarters`, with one or
     two components. `a` holds A as in `Cosines.mirrored`: (2, 2, 1, hy, hx) for one component, (2, 2, 3, hy,
-    hx) with xx, xy, yy of a symmetric matrix for two.
-    """
+    hx) with xx, xy, yy of a symmetric matrix for two."""
     _, hy, _, c, _ = quarters.shape
     for j in range(hy):
         top, bottom = quarters[0, j], quarters[1, j]
@@ -418,10 +394,8 @@ def multiply(a: Float, quarters: Float) -> None:
 @reassociating
 def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
     """Return the values of a field at four mirrored places, from its parts at one of them.
-
     The part `eo` is even along y and odd along x, and so on. The values belong to (y, x), (y, -x), (-y, x)
-    and (-y, -x).
-    """
+    and (-y, -x)."""
     p, q, r, s = ee + oe, eo + oo, ee - oe, eo - oo
     return p + q, p - q, r + s, r - s
 
@@ -429,10 +403,8 @@ def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
 @reassociating
 def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
     """Multiply one row of a one-component field, given by its even and odd parts, by A, in place.
-
     a0 to a3 are A at the four mirrored places (see `_four_places`); `top` holds the parts that are even along
-    y, `bottom` the odd ones.
-    """
+    y, `bottom` the odd ones."""
     ee, eo, oe, oo = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     for i in range(len(a0)):
         f0, f1, f2, f3 = _four_places(ee[i], eo[i], oe[i], oo[i])
@@ -497,9 +469,7 @@ def edge_field(field: Float) -> Float:
 
 def _with_slopes_along_x(field: Float) -> Float:
     """Return a field (c, ny, nx) that has the slopes of `field` along x at its first and last column.
-
-    The slopes are smoothed along y; the result decays exponentially away from both columns.
-    """
+    The slopes are smoothed along y; the result decays exponentially away from both columns."""
     fit, profile, smoother = _tables(*field.shape[1:])
     first, last = field[..., :EDGE_REACH] @ fit @ smoother, field[..., -EDGE_REACH:] @ fit @ smoother
     return np.asarray(last[..., None] * profile - first[..., None] * profile[::-1])
@@ -508,10 +478,8 @@ def _with_slopes_along_x(field: Float) -> Float:
 @lru_cache(maxsize=16)
 def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
     """Return three tables for `_with_slopes_along_x`.
-
     They are weights (6,) that fit a slope to six blocks, an exponential profile (nx,) with unit slope at its
-    end, and a matrix (ny, ny) that smooths along y.
-    """
+    end, and a matrix (ny, ny) that smooths along y."""
     t = np.arange(EDGE_REACH, dtype=np.float32) - np.float32((EDGE_REACH - 1) / 2)
     profile = EDGE_REACH * np.exp((np.arange(nx) + 0.5 - nx) / EDGE_REACH)
     modes = cosines(ny, ny)
@@ -522,10 +490,8 @@ def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
 
 class Preconditioner:
     """Preconditioner of `Modes.solve`: exact for the 300 strongest modes, diagonal for the others.
-
     `ratio` (my, mx) is the signal-to-noise ratio of the modes, `inverse` the reciprocal of their spectrum,
-    and `foot` the gain of averaging over a block.
-    """
+    and `foot` the gain of averaging over a block."""
 
     def __init__(self, lattice: tuple[int, int], ratio: Float, inverse: Float, foot: Float) -> None:
         count = min(EXACT_MODES, ratio.size)
@@ -548,10 +514,8 @@ class Preconditioner:
 
     def factor(self, information: Float) -> Factor:
         """Return the Cholesky factor (modes, modes) and scaling (modes,) of the strongest modes' matrix.
-
         `information` (ny, nx) is the inverse variance of each block. If rounding makes the matrix indefinite,
-        the factor is the unit matrix.
-        """
+        the factor is the unit matrix."""
         table = self._sum_rows @ information @ self._sum_columns
         scale = 1.0 / np.sqrt(self._own_inverse + self._square * F(information.mean()))
         count = self._norm.size
@@ -564,10 +528,8 @@ class Preconditioner:
 
     def apply(self, residual: Float, diagonal: Float, factor: Factor, out: Float) -> float:
         """Write the preconditioned residual to `out`; return its inner product with the residual.
-
         `residual`, `diagonal` and `out` are sorted by parity (`Cosines.split_parities`). `diagonal`
-        multiplies the weaker modes; `factor` comes from the method `factor`.
-        """
+        multiplies the weaker modes; `factor` comes from the method `factor`."""
         lower, scale = factor
         positions = self._positions[residual.shape[3]]
         gathered = np.empty(positions.shape, F)
@@ -581,9 +543,7 @@ class Preconditioner:
 @reassociating
 def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None:
     """Write the residual of the strongest modes, times `scale` (modes,), to out (c, modes).
-
-    `positions` (c, modes) are the indices of these modes in the flat `residual`.
-    """
+    `positions` (c, modes) are the indices of these modes in the flat `residual`."""
     for n in range(len(positions)):
         for k in range(len(scale)):
             out[n, k] = residual[positions[n, k]] * scale[k]
@@ -594,10 +554,8 @@ def _preconditioned(
     diagonal: Float, residual: Float, exact: Float, positions: Float, scale: Float, out: Float
 ) -> F:
     """Write the preconditioned residual to `out`; return its inner product with the residual.
-
     It is `diagonal` times `residual`, except for the strongest modes at `positions` (c, modes): there it is
-    `exact` (c, modes) times `scale` (modes,).
-    """
+    `exact` (c, modes) times `scale` (modes,)."""
     for i in range(len(out)):
         out[i] = diagonal[i] * residual[i]
     for n in range(len(positions)):
@@ -612,11 +570,9 @@ def _preconditioned(
 @in_order
 def _assemble(table: Float, iy: Float, ix: Float, norm: Float, own: Float, out: Float) -> None:
     """Write the lower triangle of the scaled matrix F A F + 1/S of the strongest modes to `out`.
-
     iy and ix are the indices of these modes. `table` holds sums of A times cosines, from which all elements
     follow, because a product of two cosines is a sum of two cosines. `norm` and `own` are the scaled factors
-    of these sums, and the scaled 1/S.
-    """
+    of these sums, and the scaled 1/S."""
     for p in range(iy.size):
         for q in range(p + 1):
             y0, y1 = abs(iy[p] - iy[q]), iy[p] + iy[q]

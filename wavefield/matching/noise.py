@@ -59,11 +59,9 @@ def noise_of_scores(
 
 def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
     """Return a weight of each block, (ny, nx), 0 to 1: below 1 where scores are far above the noise.
-
     Such scores occur at edges of objects and where beads enter or leave the image. They are taken over
     clusters of 5 x 5 blocks and compared with those of clusters around. For the arguments see
-    `noise_of_scores`.
-    """
+    `noise_of_scores`."""
     square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
     information = _clusters(trace * counts)
     least = F(HOLE_INFORMATION) * information.mean()
@@ -81,10 +79,8 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
     """Return a mask (ny, nx), True for blocks in a hole, that is, in an area with little information.
-
     `information` (ny, nx) is the inverse variance of the value of each block. In a hole, its mean over 7 x 7
-    blocks is at most 0.15 times the typical information.
-    """
+    blocks is at most 0.15 times the typical information."""
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )

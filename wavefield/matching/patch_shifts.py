@@ -28,12 +28,10 @@ def shifts(
     a: Float, b: Float, side: int = PATCH_PX, reach: tuple[int, int] = (REACH_PX, REACH_PX)
 ) -> NDArray[np.float64]:
     """Find the displacements of large patches from image a to image b, both (h, w).
-
     A patch is a square of `side` px, or less in small images; `reach` (x, y) is the largest displacement that
     is searched, px. Returns (n, 5), one row for each patch with contrast: displacement x and y, px (NaN if
     not found), correlation, and the x and y of the patch's centre, px. Displacements are multiples of 2 px,
-    or of 1 px in small images. The result is empty for images below 64 px.
-    """
+    or of 1 px in small images. The result is empty for images below 64 px."""
     a, b = (np.asarray(image, np.float32) for image in (a, b))
     height, width = a.shape
     size = min(side, height // 4, width // 4)
@@ -85,10 +83,8 @@ def _found(
     min_correlation: float = MIN_CORRELATION,
 ) -> tuple[float, float, float]:
     """Return the displacement x and y of a patch of image a in image b, px, and the correlation there.
-
     The patch is a square of `size` px that begins at column and row `at`. The displacement is NaN if no
-    correlation within `reach` (x, y), px, is above `min_correlation`, or if two are about equal.
-    """
+    correlation within `reach` (x, y), px, is above `min_correlation`, or if two are about equal."""
     x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
     patch = a[at[1] : at[1] + size, at[0] : at[0] + size]
     correlations = _correlations(patch, b[y0 : at[1] + size + reach[1], x0 : at[0] + size + reach[0]])
@@ -102,11 +98,9 @@ def _found(
 
 def locate(patch: Float, around: Float) -> tuple[float, float, float]:
     """Return the column and row, px, at which a patch fits best into an image, and the correlation.
-
     The position is where the patch's first pixel lies in the image `around`. A parabola along each axis,
     through the largest correlation and its neighbours, refines it. It is NaN if the largest correlation lies
-    at the border.
-    """
+    at the border."""
     correlations = _correlations(patch, around)
     _, best, _, (column, row) = cv2.minMaxLoc(correlations)
     if not (0 < row < correlations.shape[0] - 1 and 0 < column < correlations.shape[1] - 1):
@@ -118,10 +112,8 @@ def locate(patch: Float, around: Float) -> tuple[float, float, float]:
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return those of the patches' displacements (n, 2), px, that another patch confirms, (m, 2).
-
     Two displacements confirm each other if they differ by less than 8 px plus a quarter of their length.
-    Displacements that are NaN are dropped.
-    """
+    Displacements that are NaN are dropped."""
     moved = moved[np.isfinite(moved[:, 0])]
     apart = np.hypot(*(moved[:, None] - moved).T) - AGREEMENT_PX - 0.25 * np.hypot(*moved.T)
     out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]

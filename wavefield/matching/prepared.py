@@ -80,10 +80,8 @@ class Level:
     @cached_property
     def beads(self) -> tuple[np.ndarray, np.ndarray]:
         """Assignment of whole beads to blocks, (h, w), and the Hessians of the blocks, (3, ny, nx).
-
         The first array holds, for each pixel, the number of the block that contains the top of its bead. The
-        second holds sums of gx gx, gx gy, gy gy over the pixels assigned to a block.
-        """
+        second holds sums of gx gx, gx gy, gy gy over the pixels assigned to a block."""
         ny, nx = self.blocks
         h, w = ny * BLOCK, nx * BLOCK
         smooth = cv2.GaussianBlur(self.padded, (0, 0), BEAD_SMOOTHING)
@@ -200,9 +198,7 @@ def prepare(
 
 def level_count(shape: tuple[int, ...], levels: int) -> int:
     """Return the number of pyramid levels for an image of this shape, 1 to `levels`.
-
-    The coarsest level must be at least 40 px wide and high, so small images have fewer levels.
-    """
+    The coarsest level must be at least 40 px wide and high, so small images have fewer levels."""
     side = min(shape)
     while levels > 1 and side >> (levels - 1) < MIN_LEVEL_SIDE:
         levels -= 1
@@ -213,10 +209,8 @@ def _normalize(
     image: np.ndarray, mask: Mask | None, settings: MatchSettings, padded: np.ndarray
 ) -> Mask | None:
     """Write the normalised image to `padded`, inside its border; return the mask for it.
-
     The returned mask also excludes saturated pixels and those that are not finite. It is None if all pixels
-    are usable.
-    """
+    are usable."""
     width = settings.normalization
     cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
@@ -236,10 +230,8 @@ def _excluding(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> M
 
 def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
     """Return a mask (h, w) of saturated pixels: uniform patches of 5 x 5 px at the largest value.
-
     It is None without such patches. `largest` is the largest value, and `columns` are the indices of the
-    columns in which it occurs.
-    """
+    columns in which it occurs."""
     # every patch contains one pixel of a grid whose step is the side of the smallest patch
     columns = columns[columns % SATURATED_SIDE == SATURATED_SIDE - 1]
     if largest <= 0 or not (image[SATURATED_SIDE - 1 :: SATURATED_SIDE, columns] == largest).any():
@@ -256,9 +248,7 @@ def _padded(h: int, w: int) -> np.ndarray:
 
 def _usable_blocks(good: np.ndarray, level: int) -> np.ndarray:
     """Return a mask (h, w), 1 where all pixels of the block around a pixel are usable, else 0.
-
-    On level 0, the finest, the two pixels around the block that the spline reads must be usable as well.
-    """
+    On level 0, the finest, the two pixels around the block that the spline reads must be usable as well."""
     side = BLOCK + 4 if level == 0 else BLOCK
     return cv2.erode(good, np.ones((side, side), np.uint8), borderType=cv2.BORDER_REPLICATE)
 
@@ -278,9 +268,7 @@ def _replicate_border(padded: np.ndarray) -> None:
 @njit
 def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
     """Write to `out` the sums of `side` neighbours each, among the first `count` elements of `row`.
-
-    The last sum includes the elements that remain.
-    """
+    The last sum includes the elements that remain."""
     n = len(out)
     if side == 8:  # the usual side, in a form that vectorises
         for i in range(n):
@@ -321,10 +309,8 @@ def _add_masked_row(
 @njit
 def _cell_sums(image: np.ndarray, usable: np.ndarray, side: int, rows: np.ndarray, out: np.ndarray) -> None:
     """Write sums of pixels and of squared pixels over each cell of `side` x `side` px to out (2, ny, nx).
-
     Pixels where `usable` (h, w) is 0 do not count; it is empty if all count. `rows` (3, >= w) is scratch,
-    except that the caller reads the largest pixel of each column from rows[2].
-    """
+    except that the caller reads the largest pixel of each column from rows[2]."""
     h, w = image.shape
     ny = out.shape[1]
     s, t, top = rows[0], rows[1], rows[2]
@@ -352,9 +338,7 @@ def _normalize_row(
     out: np.ndarray,
 ) -> None:
     """Write (row - mean) * scale to `out`, with mean and scale interpolated between two rows of cells.
-
-    They lie a fraction t of the way from mean m0 and scale s0 to mean m1 and scale s1.
-    """
+    They lie a fraction t of the way from mean m0 and scale s0 to mean m1 and scale s1."""
     for x in range(len(row)):
         mean = m0[x] + t * (m1[x] - m0[x])
         scale = s0[x] + t * (s1[x] - s0[x])
@@ -373,9 +357,7 @@ def _normalize_image(
     image: np.ndarray, usable: np.ndarray, mean: np.ndarray, scale: np.ndarray, side: int, out: np.ndarray
 ) -> None:
     """Write the normalised image inside the border of `out`; pixels that are not `usable` become 0.
-
-    `mean` and `scale` (ny, w) belong to rows of cells of `side` px, and are interpolated between the rows.
-    """
+    `mean` and `scale` (ny, w) belong to rows of cells of `side` px, and are interpolated between the rows."""
     ny, (h, w) = len(mean), image.shape
     border = (len(out) - h) // 2
     for y in range(h):
@@ -422,9 +404,7 @@ class NormalizationCells:
 
     def normalized(self, share: np.ndarray | None, out: np.ndarray) -> None:
         """Write the normalised image inside the border of `out`; pixels that are not usable become 0.
-
-        `share` (ny, nx) is the usable fraction around each cell, or None without a mask.
-        """
+        `share` (ny, nx) is the usable fraction around each cell, or None without a mask."""
         mean, square = self.local(0), self.local(1)
         if share is not None:
             mean /= share
@@ -452,10 +432,8 @@ class NormalizationCells:
 
 def usable_share(usable: np.ndarray, width: float) -> np.ndarray:
     """Return the fraction of usable pixels around each cell, (ny, nx) float32, at least 0.001.
-
     `usable` (h, w) is 1 for usable pixels, else 0; `width` is the standard deviation of the Gaussian window,
-    px.
-    """
+    px."""
     out: np.ndarray = np.maximum(NormalizationCells(usable, width).local(0), MIN_USABLE_SHARE)
     return out
 

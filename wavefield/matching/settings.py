@@ -91,9 +91,7 @@ class MatchSettings:
     @classmethod
     def stereo(cls, **changes: Any) -> MatchSettings:
         """Return settings for frames of two cameras at one instant, with these changes.
-
-        They suit a large, smooth parallax and different lighting.
-        """
+        They suit a large, smooth parallax and different lighting."""
         return replace(
             cls(
                 iterations=(3, 3, 3, 3),

@@ -109,11 +109,9 @@ class Prior:
 
     def with_min_signal_to_noise(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
         """Return the prior with its spectrum raised to at least this ratio of signal to noise.
-
         Only wavenumbers below 2 rad per block are raised. A prior that is too small suppresses waves, and a
         spectrum learned from the resulting fields would again be too small. Spectra are therefore learned
-        with a raised prior.
-        """
+        with a raised prior."""
         k = np.array(self.k)
         least = ratio / (self.footprint(k, np.zeros(1)) ** 2 * self.information)
         table = np.maximum(self.power, np.where(k < SHORTEST_WAVENUMBER, least, 0.0))
@@ -122,9 +120,7 @@ class Prior:
 
     def spectrum(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """Return the spectrum S of each component at wavenumbers kx, ky, rad per block.
-
-        kx and ky are broadcast; the component is the first axis of the result.
-        """
+        kx and ky are broadcast; the component is the first axis of the result."""
         table = np.log(np.maximum(self.power, 1e-30))  # a field without motion has power 0
         directions = table.shape[1]
         at = np.interp(np.hypot(kx, ky), self.k, np.arange(len(self.k)))
@@ -142,36 +138,28 @@ class Prior:
 
     def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """Return the fraction of `spectrum` that is expected to be waves, at wavenumbers kx, ky.
-
         It is `wave_fraction`, times `undetected_fraction` where the spectrum is an upper limit. The component
-        is the first axis of the result; wavenumbers are in rad per block.
-        """
+        is the first axis of the result; wavenumbers are in rad per block."""
         detected = np.array(self.detected or [[True] * len(self.k)])
         fraction = self.wave_fraction * np.where(detected, 1.0, self.undetected_fraction)
         return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in fraction])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """Return the signal-to-noise ratio F^2 A S of each component, at wavenumbers kx, ky, rad per block.
-
-        F is the footprint, A the typical information and S the spectrum. The component is the first axis.
-        """
+        F is the footprint, A the typical information and S the spectrum. The component is the first axis."""
         return np.asarray(self.footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
 
     def gain(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """Return the amplitude gain of the MAP field for waves with wavenumbers kx, ky, rad per block.
-
-        It is R / (R + 1), with R the signal-to-noise ratio. The component is the first axis of the result.
-        """
+        It is R / (R + 1), with R the signal-to-noise ratio. The component is the first axis of the result."""
         ratio = self.signal_to_noise(kx, ky)
         return np.asarray(ratio / (ratio + 1.0))
 
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the expected variances of a MAP field on a lattice `shape` (ny, nx), from waves and noise.
-
         Both have one number per component, (1 or c,). They are means over all cosine modes but the constant
         one: of G^2 S for waves and of G^2 / (F^2 A) for noise. G is the gain, S the spectrum and F the
-        footprint; all blocks are taken to have the typical information A.
-        """
+        footprint; all blocks are taken to have the typical information A."""
         kx, ky = wavenumbers(shape)
         squared_gain = np.square(self.gain(kx, ky))
         squared_gain[:, 0, 0] = 0.0
@@ -207,11 +195,9 @@ def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np
 
 class WavenumberRings:
     """Means over rings, which are bins of wavenumber, and over the six sectors of direction of each ring.
-
     The modes have wavenumbers kx (mx,) and ky (my, 1), rad per block. Attributes: `middle` (rings,), the
     wavenumber in the middle of each ring; `k`, the same as a tuple; `count` (rings,) and `sector_count`
-    (sectors, rings), the numbers of modes; `of_modes` (my, mx), the ring of each mode.
-    """
+    (sectors, rings), the numbers of modes; `of_modes` (my, mx), the ring of each mode."""
 
     def __init__(self, kx: Float, ky: Float) -> None:
         edges = np.linspace(0, np.pi, RINGS + 1)
@@ -240,11 +226,9 @@ class WavenumberRings:
 
     def significant(self, ratio: Float) -> NDArray[np.bool_]:
         """Return a mask (rings,), True for rings whose power stands out from the noise.
-
         `ratio` (rings,) is the power over the noise. A ring stands out if the ratio is above 0.3 in it and in
         all rings before it. It also does if both its ratio and the mean with its two neighbours are above
-        1.5, at less than 2 rad per block. The first three rings are always True.
-        """
+        1.5, at less than 2 rad per block. The first three rings are always True."""
         occupied = self.count > 0
         last = self.count_until_false(occupied & (ratio > DETECTED_SIGNAL_TO_NOISE))
         total, count = (np.convolve(f, np.ones(3), mode="same") for f in (ratio * self.count, self.count))
@@ -254,9 +238,7 @@ class WavenumberRings:
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
         """Return the ratio of power to noise, (rings,), averaged over five neighbouring rings.
-
-        The first four rings do not count, because they contain calibration errors.
-        """
+        The first four rings do not count, because they contain calibration errors."""
         count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")
@@ -273,9 +255,7 @@ class WavenumberRings:
 
 def footprint(kx: np.ndarray, ky: np.ndarray, variance: float = FOOTPRINT_VARIANCE) -> np.ndarray:
     """Return the gain of averaging over a Gaussian area, at wavenumbers kx, ky, rad per block.
-
-    `variance` is the variance of this area along each axis, px^2.
-    """
+    `variance` is the variance of this area along each axis, px^2."""
     out: np.ndarray = np.exp(-0.5 * variance * (np.square(kx) + np.square(ky)) / BLOCK**2)
     return out
 

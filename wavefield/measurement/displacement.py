@@ -50,9 +50,7 @@ Flows = Mapping[str, CameraFlow]
 @dataclass
 class FlowEstimate:
     """Most probable (MAP) displacement from one frame to the next, as a sum of three parts.
-
-    The parts are a series of cosines, a smooth field with the slopes at the edges, and a correction.
-    """
+    The parts are a series of cosines, a smooth field with the slopes at the edges, and a correction."""
 
     waves: Float  # (2, my, mx): cosine coefficients, px
     edges: Float = field(repr=False)  # (2, ny, nx): smooth part (`Modes.split`), px
@@ -74,12 +72,10 @@ def filled(found: matching.Displacement) -> Float:
 
 def harmonics(midway: Float) -> Float:
     """Return the difference between displacements at start points and at midpoints, (2, ny, nx), px.
-
     `midway` (2, ny, nx), px, is the displacement D as a function of a particle's midpoint, half-way between
     the frames. As a function of the start point it is u(x) = D(x + u/2), so u - D = (D . grad) D / 2 to first
     order, a second harmonic. The mean of the factor D is excluded, because a common motion shifts waves
-    without changing them.
-    """
+    without changing them."""
     x, y = midway
     xx, xy, yx, yy = slopes_of(x, y)
     x, y = x - x.mean(), y - y.mean()
@@ -94,12 +90,10 @@ def map_displacement(
     with_harmonics: bool = False,
 ) -> FlowEstimate:
     """Estimate the most probable displacement (MAP) between two images from a match of their blocks.
-
     The blocks of the images `one` and `other` are evaluated again at each solution, until solutions converge;
     `modes` solves for the field. With `with_harmonics`, the field is separated from the correction that
     `harmonics` computes. While spectra and noise are learned, the correction is not separated, because it
-    would be as noisy as the fields are then.
-    """
+    would be as noisy as the fields are then."""
     found = match
     u = filled(match)
     edges, waves = modes.split(u)
@@ -146,11 +140,9 @@ def flows(
     model: Model,
 ) -> dict[str, CameraFlow]:
     """Return the most probable displacement (MAP) of each camera from its first image to its second.
-
     `first` and `second` hold the prepared images by camera; a camera without both is left out. `settings` are
     those of the match. All blocks of a camera are rejected as out of range if its displacements vary far more
-    than in the sample steps of `model`.
-    """
+    than in the sample steps of `model`."""
     out, learned = {}, dict(model.record.motion)
     for name in first:
         if name in second:
@@ -176,9 +168,7 @@ def flow_near(
     model: FieldModel,
 ) -> CameraFlow:
     """Return the most probable displacement (MAP) from image `one` to `other` of a camera.
-
-    `near` is their match, from which the estimate starts; `model` is the estimator of this camera.
-    """
+    `near` is their match, from which the estimate starts; `model` is the estimator of this camera."""
     return camera_flow(map_displacement(near, one, other, model.modes, True), model)
 
 

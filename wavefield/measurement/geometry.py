@@ -37,10 +37,8 @@ _ORDER = 4
 
 class Sight:
     """Image positions and Jacobians of the nodes in one camera, as polynomials in z.
-
     Attributes: binning, side in px of the squares of raw pixels that are averaged; camera, the camera of the
-    binned image; lattice, the blocks of the binned image, px.
-    """
+    binned image; lattice, the blocks of the binned image, px."""
 
     def __init__(
         self, camera: Camera, binning: int, x: Float, y: Float, z_range: tuple[float, float]
@@ -136,12 +134,10 @@ def fit_plane(
     cameras: Sequence[Camera], x: Float, y: Float, z_range: tuple[float, float], pixel: float
 ) -> RectifiedPlane:
     """Choose the rectangle on z = 0 to which images are rectified, for nodes x, y (ny, nx), metres.
-
     It contains the points where the sight lines through the nodes, at the elevations of `z_range`, meet z =
     0: those of the reference, which is the first camera, and of at least one other camera. It is limited to
     what two cameras see, with a margin. `pixel` is the side of a rectified pixel, metres. Raises RigError if
-    the grid or the common view is too small.
-    """
+    the grid or the common view is too small."""
     if min(x.shape) < _MIN_NODES:
         raise RigError(
             f"the grid has {x.shape[1]} x {x.shape[0]} nodes, and slopes need {_MIN_NODES} along each side: "
@@ -177,10 +173,8 @@ def fit_plane(
 
 def _reach(camera: Camera, edge: Float) -> Float:
     """Return points (n, 2), metres, that bound the part of the plane z = 0 which a camera sees.
-
     If the horizon is in view, those of the grid's edge nodes `edge` (m, 2), metres, that the camera sees are
-    added.
-    """
+    added."""
     view = view_on_water(camera)
     if np.isfinite(camera.corners()).all():
         return view
@@ -191,9 +185,8 @@ def rectified_views(
     sights: Mapping[str, Sight], plane: RectifiedPlane, middle: tuple[float, float], stereo: MatchSettings
 ) -> dict[str, RectifiedView]:
     """Compute the rectified view of every camera on `plane`, by camera.
-
-    `middle` is the middle (x, y) of the grid, metres; `stereo` are the settings of matching between cameras.
-    """
+    `middle` is the middle (x, y) of the grid, metres; `stereo` are the settings of matching between
+    cameras."""
     blur = _blur(sights, plane.pixel, middle)
     out = {}
     for name, sight in sights.items():
@@ -209,11 +202,9 @@ def _blur(
     sights: Mapping[str, Sight], pixel: float, middle: tuple[float, float]
 ) -> dict[str, tuple[float, float]]:
     """Return, by camera, the blur that makes beads equally wide in all rectified images.
-
     The blur is a Gaussian, given by its standard deviations along x and y, px. Without it, beads are
     stretched along the view of an oblique camera, which would bias z. `middle` is the middle (x, y) of the
-    grid, metres.
-    """
+    grid, metres."""
     variances = {}
     for name, sight in sights.items():
         side = np.linalg.inv(sight.camera.jacobian(*middle, 0.0)[:, :2]) / pixel
@@ -238,9 +229,7 @@ class Covered:
 
     def at(self, X: NDArray[Any], Y: NDArray[Any]) -> Pixels:
         """Return a mask, True where the block around a position X, Y, px, contains masked pixels.
-
-        Positions outside the binned image are False.
-        """
+        Positions outside the binned image are False."""
         whole = self.raw.levels[0]
         h, w = whole.shape
         with np.errstate(invalid="ignore"):
@@ -405,10 +394,8 @@ class GridGeometry:
 
     def pairs_for(self, present: Sequence[str]) -> tuple[Pair, ...]:
         """Return the pairs of cameras that measure z if only the cameras `present` have a frame.
-
         They are those of `pairs` with both cameras present. If none is left, new pairs are made of the
-        cameras that are present; the result is empty for fewer than two.
-        """
+        cameras that are present; the result is empty for fewer than two."""
         planned = tuple(p for p in self.pairs if p[0] in present and p[1] in present)
         if planned:
             return planned
@@ -427,19 +414,15 @@ class GridGeometry:
 
     def _fitting_pixel(self) -> float:
         """Return the side of a rectified pixel, metres, that suits cameras and grid.
-
         It is that of the camera with the coarsest pixels on the water. It is reduced, at most to half, if a
-        block of 5 px would span more than 0.8 grid steps.
-        """
+        block of 5 px would span more than 0.8 grid steps."""
         own = max(pixel_sides(self.rig[name], *self.middle)[0] for name in self.surface_cameras)
         return max(own / 2.0, min(own, 0.8 * self.grid.step / BLOCK))
 
 
 def _with_reference_first(pairs: Sequence[Pair]) -> tuple[Pair, ...]:
     """Return the pairs with their common camera first.
-
-    Raises ExperimentError if they have no common camera, or if a pair occurs twice.
-    """
+    Raises ExperimentError if they have no common camera, or if a pair occurs twice."""
     common = set.intersection(*(set(pair) for pair in pairs))
     if not common or len({frozenset(p) for p in pairs}) < len(pairs):
         text = ", ".join(f"[{a}, {b}]" for a, b in pairs)

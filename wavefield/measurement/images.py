@@ -68,9 +68,7 @@ def _skewness(part: NDArray[Any]) -> float:
 
 def above_floor(image: NDArray[Any], width: float) -> NDArray[Any]:
     """Return an image (h, w) without everything larger than about three bead widths (a white top-hat).
-
-    `width` is that of the beads, px. For a texture (width 0) the image itself is returned.
-    """
+    `width` is that of the beads, px. For a texture (width 0) the image itself is returned."""
     if not width:
         return image
     side = int(np.ceil(MAX_SIZE_TO_WIDTH * width)) // 2 * 2 + 3
@@ -88,9 +86,7 @@ GREY_LEVELS_PER_E = 5000.0  # grey levels per factor e of brightness: 65535 leve
 
 def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
     """Return whether a frame can be measured: a grey image of this size (width, height), with contrast.
-
-    A frame of floats is not usable if more than about half of its pixels are not finite.
-    """
+    A frame of floats is not usable if more than about half of its pixels are not finite."""
     if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
         return False
     if image.dtype.kind not in "uif":
@@ -103,11 +99,9 @@ def ready(
     image: NDArray[Any], count: int, width: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
     """Prepare a usable frame (h, w): remove its background, compress its brightness, and bin it.
-
     Binning averages squares of `count` x `count` pixels. `width` is that of the beads, px, measured if None;
     for a texture (width 0) the background stays. `covered` (h, w) is True for masked pixels, which do not
-    count.
-    """
+    count."""
     if covered is not None:
         image = fill_masked(image, covered)
     width = bead_width(image) if width is None else width
@@ -122,9 +116,7 @@ def ready(
 
 def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
     """Sharpen an image, so that the images of neighbouring beads overlap less.
-
-    Where beads overlap, differences of brightness between cameras bias the match.
-    """
+    Where beads overlap, differences of brightness between cameras bias the match."""
     kernel = np.array([-amount, 1.0 + 2.0 * amount, -amount], np.float32)
     part = np.ascontiguousarray(image, np.float32)
     return np.asarray(cv2.sepFilter2D(part, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REPLICATE))
@@ -134,11 +126,9 @@ def log_compress(
     image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
     """Compress the brightness I of an image to 5000 log(1 + (I - B) / (0.5 (I_99 - B))).
-
     B is the level `black`, by default the 1 % quantile of the brightness, and I_99 the 99 % quantile; pixels
     below B become 0. A bead that is bright in one camera only would bias the match; the logarithm turns
-    factors of brightness into constants. `covered` (h, w) is True for pixels that the quantiles leave out.
-    """
+    factors of brightness into constants. `covered` (h, w) is True for pixels that the quantiles leave out."""
     low, _, high = _levels(image, covered)
     low = low if black is None else black
     knee = max(KNEE_TO_CONTRAST * (high - low), 1e-6 * max(abs(low), abs(high), 1e-30))
@@ -167,10 +157,8 @@ def _table_value(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) ->
 
 def _levels(image: NDArray[Any], covered: NDArray[np.bool_] | None = None) -> tuple[float, float, float]:
     """Return the 1, 50 and 99 % quantiles of the brightness, from every eighth pixel along both axes.
-
     `covered` (h, w) is True for pixels that do not count. All three are 0 if no pixel is left, or if fewer
-    than about half of the pixels of floats are finite.
-    """
+    than about half of the pixels of floats are finite."""
     sample = image[3::8, 3::8].ravel()
     if covered is not None:
         sample = sample[~covered[3::8, 3::8].ravel()]
@@ -197,9 +185,7 @@ Masks = Mapping[str, Pixels | None]
 
 def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
     """Prepare the masks of one instant (True on pixels to ignore) for matching, by camera.
-
-    The result is also stored in `geometry`, so the same array is not prepared again at the next instant.
-    """
+    The result is also stored in `geometry`, so the same array is not prepared again at the next instant."""
     out = {}
     for name in geometry.cameras:
         pixels = masks.get(name)
@@ -234,11 +220,9 @@ def masked_nodes(
     geometry: GridGeometry,
 ) -> Pixels:
     """Return a mask (ny, nx), True for nodes that outlines on the water or masks of images cover.
-
     `covered` holds the masks of both frames by camera, `missing` the cameras without a frame, and z (ny, nx)
     the elevation, metres. Masks of images count if they leave no pair of cameras for z, or fewer than two
-    cameras for the velocity.
-    """
+    cameras for the velocity."""
     hidden = {}
     for name in {*covered[0], *covered[1]}:
         X, Y = geometry.sights[name].position(z)
@@ -256,9 +240,7 @@ def prepare(
     image: NDArray[Any], camera: str, geometry: GridGeometry, mask: Mask | None = None
 ) -> matching.PreparedImage:
     """Sharpen and rectify an image, binned as by `ready`, and prepare it for matching between cameras.
-
-    `mask` belongs to the rectified image; by default it excludes only what the camera does not see.
-    """
+    `mask` belongs to the rectified image; by default it excludes only what the camera does not see."""
     view = geometry.views[camera]
     flat = widen(rectify(sharpened(image, BETWEEN_CAMERAS), *view.maps), *view.blur)
     return matching.prepare(flat, geometry.settings.stereo, mask=mask or view.mask)
@@ -281,9 +263,7 @@ def usable_frames(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks
 ) -> dict[str, NDArray[Any]]:
     """Return the usable frames, prepared by `ready`, by camera.
-
-    `beads` are the widths of the beads in each camera, raw px; `masks` are True on pixels to ignore.
-    """
+    `beads` are the widths of the beads in each camera, raw px; `masks` are True on pixels to ignore."""
     out: dict[str, NDArray[Any]] = {}
     for name in geometry.cameras:
         image = frames.get(name)
@@ -296,9 +276,7 @@ def rectified_images(
     ready_frames: Mapping[str, NDArray[Any]], geometry: GridGeometry, covered: Mapping[str, Covered]
 ) -> dict[str, matching.PreparedImage]:
     """Rectify the frames from `usable_frames` and prepare them for matching between cameras.
-
-    `covered` holds prepared masks. The result is by camera; it is empty for a light sheet.
-    """
+    `covered` holds prepared masks. The result is by camera; it is empty for a light sheet."""
     if geometry.settings.sheet_thickness is not None:
         return {}
     return {
@@ -312,9 +290,7 @@ def images_of(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks | None = None
 ) -> Images:
     """Prepare the frames of one instant, by camera, for matching between cameras and in time.
-
-    `beads` are the widths of the beads in each camera, raw px; `masks` are True on pixels to ignore.
-    """
+    `beads` are the widths of the beads in each camera, raw px; `masks` are True on pixels to ignore."""
     masks = masks or {}
     covered = covered_in(masks, geometry)
     ready_frames = usable_frames(frames, geometry, beads, masks)
@@ -329,10 +305,8 @@ def with_raw_images(
     covered: Mapping[str, Covered],
 ) -> Images:
     """Return the images of one instant: the rectified ones, `flat`, and new ones for matching in time.
-
     The images for matching in time are made from `ready_frames` (`usable_frames`); `covered` holds prepared
-    masks.
-    """
+    masks."""
     raw = {
         name: matching.prepare(
             sharpened(ready_frames[name], IN_TIME),

@@ -122,12 +122,10 @@ def rise_of_water(
     first: Surface, second: Surface, motion: Motion, flow: tuple[float, float], x: Float, y: Float
 ) -> Float:
     """Return the rise of the water's surface per step, (ny, nx), metres, following particles.
-
     The particles are at nodes x, y (ny, nx), metres, at mid-time. Their rise is z_1(x + c/2 + b) - z_0(x -
     c/2 + b) + d_z - c_z. z_0 and z_1 are the surfaces `first` and `second`, c is the displacement from frame
     to frame (chord), b the bend of the path, and d the velocity at mid-time times the interval (`Motion`).
-    Where the motion was not measured, the mean displacement `flow` (dx, dy) replaces it.
-    """
+    Where the motion was not measured, the mean displacement `flow` (dx, dy) replaces it."""
     measured = np.isfinite(motion.chord).all(axis=0)
     parts = *motion.chord[:2], *motion.bend[:2], motion.d[2] - motion.chord[2]
     # where the motion was not measured, use the mean flow
@@ -156,9 +154,7 @@ def slope(z: Float, step: float, axis: int) -> Float:
 
 def frames_used(surfaces: Surfaces) -> int:
     """Return the largest number of frames, 6, 4, 3 or 2, from which z at mid-time can be interpolated.
-
-    `surfaces` are those of six frames, None if missing; both frames of the step must be there.
-    """
+    `surfaces` are those of six frames, None if missing; both frames of the step must be there."""
     present = [one is not None for one in surfaces]
     if present[1] and present[4]:
         return 6 if present[0] and present[5] else 4

@@ -54,11 +54,9 @@ def median_misfit(misfit: Float, measured: Mask) -> float:
 
 def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
     """Return a mask (ny, nx), True for blocks at which the matches of two pairs give different elevations.
-
     Successive pairs are compared. Their elevations, averaged over 5 x 5 blocks, differ by more than 1.5 px of
     parallax there, or within two blocks. `pixel` is the side of a rectified pixel, metres. This test finds
-    errors larger than a bead, which scores do not show; `inconsistent_scores` finds smaller ones.
-    """
+    errors larger than a bead, which scores do not show; `inconsistent_scores` finds smaller ones."""
     out = np.zeros(matches[0].eps_y.shape, bool)
     for one, other in pairwise(matches):
         lengths = (np.sqrt(np.sum(np.square(m.parallax), axis=0)) for m in (one, other))
@@ -72,12 +70,10 @@ def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
 
 def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
     """Return a mask (ny, nx), True for blocks at which two pairs would correct the elevation differently.
-
     The arguments have one array (ny, nx) for each pair of cameras: scores s and Hessians H for the common
     elevation, and magnitudes of the parallax, px per metre. Successive pairs are compared. Their corrections,
     sum s / sum H over 9 x 9 blocks, differ by more than 0.75 px of parallax there, or within two blocks. Only
-    this test finds a camera that is displaced by a pixel.
-    """
+    this test finds a camera that is displaced by a pixel."""
     means = [
         (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
         for s, h in zip(scores, hessians, strict=True)

@@ -44,18 +44,14 @@ _NOISE_CORRELATION = -0.2
 
 def elevation_gain(phase: Float, frames: int) -> Float:
     """Return the gain of z, interpolated at mid-time from 2, 4 or 6 frames, for a wave.
-
-    `phase` is the angle by which the wave's phase turns per step, rad.
-    """
+    `phase` is the angle by which the wave's phase turns per step, rad."""
     weights = {2: (1.0,), 4: (9 / 8, -1 / 8), 6: (150 / 128, -25 / 128, 3 / 128)}[frames]
     return np.asarray(sum(w * np.cos((n + 0.5) * phase) for n, w in enumerate(weights)))
 
 
 def path_gain(phase: Float, frames: int) -> Float:
     """Return the gain of velocities for a wave whose phase turns by the angle `phase`, rad, per step.
-
-    `frames` is a value of the variable `path_frames`: 2, 4, 6, or 7 for six frames with exact weights.
-    """
+    `frames` is a value of the variable `path_frames`: 2, 4, 6, or 7 for six frames with exact weights."""
     own, *neighbours = PATH_WEIGHTS[frames]
     path = own + 2.0 * sum(w * np.cos(n * phase) for n, w in enumerate(neighbours, 1))
     return np.asarray(np.sinc(phase / (2.0 * np.pi)) * path)
@@ -65,11 +61,9 @@ def frame_weights(
     times: Float, frames: Sequence[int], smooth: bool = False, at: Float | float = 0.0
 ) -> tuple[Float, Float]:
     """Return the weights of six frames for a value and for its rate of change at the time `at`.
-
     Both are (6,) + the shape of `at`. They follow from the polynomial through the numbers `frames` of the
     six; the weights of the others are 0. `times` (6,) and `at` are in frame intervals from mid-time. With
-    `smooth`, the rate is exact only for polynomials of degree four, but has less noise.
-    """
+    `smooth`, the rate is exact only for polynomials of degree four, but has less noise."""
     used = list(frames)
     powers = np.vander(times[used], increasing=True).T
     shape, count = np.shape(at), len(used)
@@ -86,20 +80,16 @@ def frame_weights(
 
 def noise_of_displacements(weights: Float) -> Float:
     """Return the weights (n, ...) of the noise variances of n displacements in the variance of a sum.
-
     `weights` (n, ...) are the weights of the displacements, which are successive, in this sum. The
-    correlation of the noise of successive displacements, which share a frame, is included.
-    """
+    correlation of the noise of successive displacements, which share a frame, is included."""
     padded = np.pad(weights, [(1, 1), *[(0, 0)] * (weights.ndim - 1)])
     return np.asarray(weights * (weights + _NOISE_CORRELATION * (padded[:-2] + padded[2:])))
 
 
 def place_weights(frames: int) -> tuple[Float, Float]:
     """Return the times of the positions along a path, and their weights in the velocity at mid-time.
-
     Times are in frame intervals from mid-time; the velocity is a displacement per interval. `frames` is the
-    kind of path, a value of the variable `path_frames`.
-    """
+    kind of path, a value of the variable `path_frames`."""
     later = -np.diff(PATH_WEIGHTS[frames], append=0.0)
     t = np.arange(2 * len(later)) - len(later) + 0.5
     return t, np.concatenate([-later[::-1], later])
@@ -117,9 +107,7 @@ def middle_row(sight: Sight) -> float:
 
 def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
     """Return, by camera that measures z, the delay at which its rolling shutter sees the nodes, (ny, nx).
-
-    Delays are in frame intervals. z (ny, nx) is the elevation of the nodes, metres.
-    """
+    Delays are in frame intervals. z (ny, nx) is the elevation of the nodes, metres."""
     out = {}
     for name in geometry.surface_cameras:
         sight = geometry.sights[name]
@@ -129,9 +117,7 @@ def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
 
 def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
     """Return the mean over the cameras of `lateness`, (ny, nx), in frame intervals.
-
-    It is None without rolling shutters, and for a light sheet.
-    """
+    It is None without rolling shutters, and for a light sheet."""
     if not geometry.settings.row_delays or geometry.settings.sheet_thickness is not None:
         return None
     return np.asarray(np.mean(list(lateness(z, geometry).values()), axis=0))
@@ -139,10 +125,8 @@ def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
 
 def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float, Float]:
     """Return the errors that rolling shutters cause: of z (ny, nx), and in place (2, ny, nx), metres.
-
     Camera n sees a point late by tau_n, so its apparent position is off by tau_n (d_xy - D_n d_z), with the
-    slope D_n of its sight line and the displacement per step d (3, ny, nx), metres.
-    """
+    slope D_n of its sight line and the displacement per step d (3, ny, nx), metres."""
     late = lateness(z, geometry)
     mean = np.mean(list(late.values()), axis=0)
     shift, slope = {}, {}
@@ -174,10 +158,8 @@ _LOOSE = {"contract", "reassoc"}
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, int]:
     """Return both spline coefficients c at the block nearest to x, y, and the flat index of this block.
-
     x and y are in blocks; ny and nx are the numbers of blocks. The outermost blocks are left out. The
-    coefficients serve as a first guess of the displacement.
-    """
+    coefficients serve as a first guess of the displacement."""
     i = np.int64(min(F(nx) - F(2), max(F(1), x + F(0.5))))  # max(1, NaN) is 1
     j = np.int64(min(F(ny) - F(2), max(F(1), y + F(0.5))))
     n: Any = j * nx + i
@@ -194,10 +176,8 @@ def _inside(nx: int, ny: int, x: Real, y: Real) -> bool:
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _lines(c: Float, first: np.uintp, down: np.uintp, w: Weights) -> Weights:
     """Return, for four rows, the sum of four coefficients along x with the weights w.
-
     c holds two components in turn; `first` is the index of the first coefficient, and `down` the distance
-    from a row to the next.
-    """
+    from a row to the next."""
     step = np.uintp(2)
     return (
         spline_line(c, first, step, w),
@@ -228,11 +208,9 @@ def _solve_near(
     c: Float, nx: int, ny: int, part: Real, x: Real, y: Real, u: Real, v: Real
 ) -> tuple[Real, Real, Real, Real, Weights]:
     """Find the position p for which p + part f(p) = (x, y), by one Newton step, in blocks.
-
     f is the displacement with the spline coefficients c (flat). The step starts at (x, y) - part (u, v), with
     a guess u, v of f. Returns p and f(p), two numbers each, and the four derivatives of p with respect to x,
-    y, (1 + part grad f)^-1, row by row.
-    """
+    y, (1 + part grad f)^-1, row by row."""
     px, py = x - part * u, y - part * v
     i, t = place_of(px, nx)
     j, s = place_of(py, ny)
@@ -263,10 +241,8 @@ def _read_path(
     block: NDArray[np.int64],
 ) -> None:
     """Compute the results of `read_path`, out (6, n) and block (5, n), for n pixels x, y.
-
     Splines and masks of missing steps are empty. The weights (5, 2, 5, m) are those of `path_weights`, for
-    all pixels (m = 1) or for each (m = n).
-    """
+    all pixels (m = 1) or for each (m = n)."""
     bb, b, c, a, aa = splines
     has_bb, has_b, has_a, has_aa = measured
     ny, nx = shape
@@ -440,12 +416,10 @@ def displacements_at_nodes(
     every: int = 1,
 ) -> CameraDisplacements:
     """Read the displacement of particles in the images of the cameras `names`, for the nodes at mid-time.
-
     `steps` are the displacements by camera of one, three or five steps around mid-time, None if missing; the
     middle one must have all `names`. z (ny, nx), metres, is the elevation of all nodes at mid-time.
     `path_frames` is the kind of path (`path_weights`), and `times` (6,) of the frames are in frame intervals
-    from mid-time. With `every` above 1, the result has only each so many-th node along x and y.
-    """
+    from mid-time. With `every` above 1, the result has only each so many-th node along x and y."""
     z = z[::every, ::every]
     count, shape = len(names), z.shape
     jacobian = np.empty((2 * count, 3, *shape), np.float32)
@@ -481,11 +455,9 @@ def _along_path(
     path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float, weights: Float
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
     """Return what `read_path` returns for one camera at pixels X, Y, and two variances, px^2.
-
     They are the variance of the displacement at mid-time due to noise, and that of suppressed waves, (1 or
     2,) + the shape of X. `path` holds the displacements of successive steps, None if missing; the middle one
-    exists.
-    """
+    exists."""
     here = path[len(path) // 2]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]
@@ -503,11 +475,9 @@ def _along_path(
 @compiled(error_model="numpy")
 def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: Float, out: Float) -> None:
     """Write the variance due to noise of n displacements, each along a path, to out (c, n).
-
     `noises` are the variances (c, blocks) of five steps. block (5, n) holds the indices of the blocks that
     were read, -1 for steps that were not. `weights` (5, 5, m) are those of the variances: for each kind of
-    path in `FRAMES_OF_PATH`, for each step, and for all paths (m = 1) or each (m = n).
-    """
+    path in `FRAMES_OF_PATH`, for each step, and for all paths (m = 1) or each (m = n)."""
     bb, b, c, a, aa = noises
     for k in range(block.shape[1]):
         before, after = block[1, k] >= 0, block[3, k] >= 0
@@ -527,9 +497,7 @@ def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: F
 
 def _places_read(block: NDArray[np.int64]) -> NDArray[np.uint8]:
     """Return the number of positions along each path, 2, 4 or 6.
-
     `block` (5, ...) holds the blocks read in five steps, -1 where none was. Only complete pairs of steps, one
-    before and one after, count.
-    """
+    before and one after, count."""
     near, far = (block[[2 - n, 2 + n]] >= 0 for n in (1, 2))
     return np.asarray(2 + 2 * near.all(axis=0) + 2 * far.all(axis=0), np.uint8)

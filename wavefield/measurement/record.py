@@ -220,10 +220,8 @@ class _SampleStep:
         masks: tuple[Masks, Masks],
     ) -> _SampleStep:
         """Prepare the images of a step and match them, between cameras and in time.
-
         `frames` and `masks` (True on pixels to ignore) are those of the first and the second frame, by
-        camera. `beads` are the widths of the beads by camera, raw px.
-        """
+        camera. `beads` are the widths of the beads by camera, raw px."""
         first, second = (images_of(*one) for one in zip(frames, [geometry] * 2, [beads] * 2, masks))
         found = {
             name: matching.match(first.raw[name], second.raw[name], geometry.settings.piv)
@@ -240,9 +238,7 @@ def _bead_widths(
     pool: ThreadPoolExecutor,
 ) -> dict[str, float]:
     """Return the median width of the beads by camera, raw px, over the first frames of the steps.
-
-    It is 0 for a texture and for a camera without a usable frame. `masks` are True on pixels to ignore.
-    """
+    It is 0 for a texture and for a camera without a usable frame. `masks` are True on pixels to ignore."""
     out = {}
     for name in geometry.cameras:
         images = [(first.get(name), mask.get(name)) for (first, _), (mask, _) in zip(steps, masks)]
@@ -259,9 +255,7 @@ def _bead_widths(
 @dataclass(frozen=True)
 class _FieldSample:
     """One field (elevation or displacement) of a sample step, from matching with a window.
-
-    Its functions compute the most probable (MAP) field, which depends on a learned spectrum.
-    """
+    Its functions compute the most probable (MAP) field, which depends on a learned spectrum."""
 
     field: Float  # (c, ny, nx): the windowed field, holes filled
     information: float  # mean over the blocks that have any
@@ -276,9 +270,7 @@ class _FieldSample:
 
 def _without_holes(found: elevation.ElevationEstimate | FlowEstimate) -> tuple[Float, float]:
     """Return the cosine coefficients of a MAP field and the mean information of its blocks outside holes.
-
-    The coefficients are scaled up to the variance of a field without holes.
-    """
+    The coefficients are scaled up to the variance of a field without holes."""
     known = float(np.mean(found.information > 0))
     if not known:
         return found.waves, 0.0
@@ -359,9 +351,7 @@ def _first_spectrum(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -
 
 def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: ThreadPoolExecutor) -> Prior:
     """Return the prior with the spectrum of the MAP fields that it gives.
-
-    Before these fields are computed, the prior is raised to at least `ratio` of signal to noise.
-    """
+    Before these fields are computed, the prior is raised to at least `ratio` of signal to noise."""
     prior = prior.with_min_signal_to_noise(ratio)
     modes = Modes(prior, samples[0].field.shape[-2:])
     waves, information = zip(*pool.map(lambda one: one.estimate(modes), samples))
@@ -372,9 +362,7 @@ def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: 
 
 def _elevation_prior(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> tuple[Prior, float]:
     """Learn the prior of the elevation; return it and the mean variance of scores per unit of Hessian.
-
-    The prior includes the fraction of its spectrum that is waves.
-    """
+    The prior includes the fraction of its spectrum that is waves."""
     prior = _first_spectrum(samples, pool)
     information, variance, epipolar, of_scores = _summary(samples, prior, pool)
     prior = replace(prior, information=information)
@@ -391,9 +379,7 @@ def _summary(samples: Sequence[_FieldSample], prior: Prior, pool: ThreadPoolExec
 
 def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel) -> Float | None:
     """Return the elevation at the nodes, (ny, nx), metres, averaged over both frames of a step.
-
-    It is None if either frame cannot be measured.
-    """
+    It is None if either frame cannot be measured."""
     if step.pairs is None:
         first = elevation.surface(step.first.flat, geometry, model)
     else:
@@ -426,10 +412,8 @@ def _differences(
     geometry: GridGeometry, models: Mapping[str, FieldModel], step: _SampleStep, z: Float | None
 ) -> _Differences | None:
     """Compare the cameras' displacements in one step, on the surface z (ny, nx), metres.
-
     `models` are the estimators of the displacement by camera. It is None if z is None or the motion of the
-    water cannot be measured.
-    """
+    water cannot be measured."""
     if z is None:
         return None
     found = {

@@ -54,10 +54,8 @@ def first_guess(
     read: Callable[[str, int], NDArray[np.float32] | None], cameras: Sequence[str], steps: Sequence[int]
 ) -> FirstGuess:
     """Find the range of displacements in some steps, by correlating large patches of images.
-
     `read(camera, frame)` returns an image or None. Only displacements that another patch confirms count.
-    Without any, the range is 0.
-    """
+    Without any, the range is 0."""
     kept: list[NDArray[np.float64]] = []
     tried = 0
     for step in steps:
@@ -77,9 +75,7 @@ def first_guess(
 
 def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
     """Return the settings with a search range that includes the displacements of `guess`.
-
-    The same object is returned if its range suffices.
-    """
+    The same object is returned if its range suffices."""
     piv = settings.piv
     wide = guess.search(searched(settings)[0])
     if wide is None:
@@ -139,11 +135,9 @@ class FirstHeights:
 
 def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> FirstHeights:
     """Find the range of elevations in some frames, from patches of images that are rectified to z = 0.
-
     Each patch is searched for in the image of another camera, and its elevation follows from the parallax.
     `read(camera, frame)` returns an image or None. Only elevations that another patch confirms count. Without
-    any, the range is 0.
-    """
+    any, the range is 0."""
     kept: list[NDArray[np.float64]] = []
     tried = 0
     for frame in frames:
@@ -166,9 +160,7 @@ def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> 
 
 def _resolution(geometry: GridGeometry) -> float:
     """Return the elevation that causes a parallax of one coarse pixel in the middle of the grid, metres.
-
-    It is the largest over the pairs of cameras; a coarse pixel is two rectified pixels.
-    """
+    It is the largest over the pairs of cameras; a coarse pixel is two rectified pixels."""
     x, y = float(np.mean(geometry.grid.x)), float(np.mean(geometry.grid.y))
     step = COARSE_PX * geometry.pixel
     lines = {name: np.array(geometry.rig[name].sight_line(x, y)) for name in geometry.surface_cameras}
@@ -177,9 +169,7 @@ def _resolution(geometry: GridGeometry) -> float:
 
 def _reach(pair: tuple[str, str], geometry: GridGeometry) -> tuple[int, int]:
     """Return the largest parallax along x and along y for which this pair is searched, in coarse px.
-
-    The elevations are up to five times those of the geometry. A coarse pixel is two rectified pixels.
-    """
+    The elevations are up to five times those of the geometry. A coarse pixel is two rectified pixels."""
     x, y = np.meshgrid(geometry.lattice.x[[0, -1]], geometry.lattice.y[[0, -1]])
     (Ax, Ay), (Bx, By) = (geometry.rig[name].sight_line(x, y) for name in pair)
     height = SEARCH_FACTOR * max(abs(z) for z in geometry.z_range) / (COARSE_PX * geometry.pixel)
@@ -204,10 +194,8 @@ def _heights(
     moved: NDArray[np.float64], pair: tuple[str, str], geometry: GridGeometry
 ) -> NDArray[np.float64]:
     """Return the elevations, metres, of patches of a pair of cameras, from their displacements.
-
     `moved` (n, 5) is the result of `shifts`, in coarse px. Patches with a large epipolar error (a
-    displacement that no elevation explains) are left out.
-    """
+    displacement that no elevation explains) are left out."""
     step = COARSE_PX * geometry.pixel
     half = 0.5 * (COARSE_PX - 1) * geometry.pixel
     x, y = (origin + half + step * at for origin, at in zip(geometry.plane.origin, moved[:, 3:].T))
@@ -225,9 +213,7 @@ def _heights(
 
 def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, FirstHeights]:
     """Widen the range of elevations in the settings if those found fill more than 0.6 of it.
-
-    Returns the settings, and `found` with the new range; both are the same objects if the range suffices.
-    """
+    Returns the settings, and `found` with the new range; both are the same objects if the range suffices."""
     low, high = found.searched
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if not found.found or all(abs(z - middle) < MAX_FILLED_RANGE * half for z in found.z):
@@ -242,10 +228,8 @@ Images = Mapping[str, NDArray[Any] | None]
 
 def search_widened(pairs: Sequence[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
     """Return the geometry with search ranges that suit some frames; the same object if they suffice.
-
     `pairs` are the first and second frames of some steps, by camera; only the first frames give elevations.
-    Ranges that the user has set in the settings are not changed.
-    """
+    Ranges that the user has set in the settings are not changed."""
 
     def read(name: str, frame: int) -> NDArray[Any] | None:
         image = pairs[frame // 2][frame % 2].get(name)

@@ -80,9 +80,7 @@ class SteadyFrames(Sequence["Array | None"]):
 
 def corrected(images: Images, geometry: GridGeometry) -> dict[str, Array | None]:
     """Return the raw images (row, column) of one instant, corrected for shaking, by camera.
-
-    All are unchanged if the shift cannot be determined, as when a camera has no usable frame.
-    """
+    All are unchanged if the shift cannot be determined, as when a camera has no usable frame."""
     out = dict(images)
     for name, shift in _shifts(images, geometry).items():
         image = images[name]
@@ -93,11 +91,9 @@ def corrected(images: Images, geometry: GridGeometry) -> dict[str, Array | None]
 
 def _shifts(images: Images, geometry: GridGeometry) -> dict[str, Array]:
     """Measure how far each camera's image is shifted across the sight lines, in rectified px.
-
     A shift has three numbers: its value in the middle of the field, and its change from there to the right
     edge and to the upper edge. The median over the cameras is subtracted. The result is empty if a camera has
-    no usable frame or too few blocks match.
-    """
+    no usable frame or too few blocks match."""
     flat = {}
     for name in geometry.surface_cameras:
         image = images.get(name)
@@ -128,9 +124,7 @@ def _linear(x: Array, y: Array) -> Array:
 
 def _huber(residual: Array) -> Array:
     """Return the square roots of Huber's weights of residuals.
-
-    Weights are below 1 for residuals beyond two robust standard deviations.
-    """
+    Weights are below 1 for residuals beyond two robust standard deviations."""
     miss = np.abs(residual)
     bound = 2.0 * (PER_MEDIAN * np.median(miss) + 1e-9)
     return np.asarray(np.sqrt(np.minimum(1.0, bound / np.maximum(miss, 1e-12))))
@@ -138,9 +132,7 @@ def _huber(residual: Array) -> Array:
 
 def _across(geometry: GridGeometry, pair: tuple[str, str], x: Any, y: Any) -> Array:
     """Return unit vectors (2, ...) across the sight lines of a pair of cameras, at x, y on z = 0, metres.
-
-    The epipolar error eps_y of the pair (a, b) is the component of x_b - x_a along them.
-    """
+    The epipolar error eps_y of the pair (a, b) is the component of x_b - x_a along them."""
     dx, dy = parallax(geometry.rig, pair, x, y)
     return np.asarray(np.stack([-dy, dx]) / np.maximum(np.hypot(dx, dy), 1e-12))
 

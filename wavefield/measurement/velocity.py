@@ -40,10 +40,8 @@ def _row(jacobian: Float, i: int, k: int) -> tuple[Any, Any, Any]:
 @njit
 def _factored(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Matrix:
     """Factorise the matrix of normal equations [[a, b, c], [b, d, e], [c, e, f]] as L D L^T.
-
     Returns 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1, with the pivots a, d1, f1. The last is NaN if the cameras do not
-    determine all three directions.
-    """
+    determine all three directions."""
     lb, lc = b / a, c / a
     d1, e1 = d - b * lb, e - b * lc
     le = e1 / d1
@@ -75,13 +73,11 @@ def solve_nodes(
     out: Float,
 ) -> None:
     """Solve for the motion of the water at n nodes, seen by N cameras, and write it to out (16, n).
-
     The rows of `out` are, in threes, the displacement d at mid-time, the chord, the bend, and the variance of
     d due to noise. One row each follows: the variance of suppressed waves over `parts`; the misfit |J d -
     moved| / sqrt(2N); chi^2 per degree of freedom; and the factor, at least 1, by which chi^2 enlarges the
     noise. The fields are float32: `jacobian` J is (2N, 3, n), `moved`, `chord`, `bend`, `noise` and `missing`
-    are (2N, n), as in `CameraDisplacements`. `parts` (3,) and `axes` (N, 3) are float64.
-    """
+    are (2N, n), as in `CameraDisplacements`. `parts` (3,) and `axes` (N, 3) are float64."""
     rows, n = moved.shape
     weight = np.empty(rows)
     for k in range(n):
@@ -220,10 +216,8 @@ def mean_flow(
     times: Float = EVEN_TIMES,
 ) -> tuple[float, float] | None:
     """Return the median displacement (dx, dy) of the water over a step, metres, from some of the nodes.
-
     It is None if fewer than two cameras have displacements, and 0 if no node was measured. The arguments are
-    those of `velocity`.
-    """
+    those of `velocity`."""
     names = _cameras(steps)
     if len(names) < 2:
         return None
@@ -243,10 +237,8 @@ def _cameras(steps: Sequence[Flows | None]) -> list[str]:
 
 def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
     """Compute the motion of the water by least squares over all cameras of `displacements`.
-
     `parts` (3,) are the relative variances of u, v, w (`component_variances`) in the waves that the prior
-    suppresses.
-    """
+    suppresses."""
     names = ("jacobian", "moved", "chord", "bend", "noise", "missing")
     fields = {name: np.ascontiguousarray(getattr(displacements, name), np.float32) for name in names}
     flat = [f.reshape(*f.shape[:-2], -1) for f in fields.values()]
@@ -275,16 +267,12 @@ def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
 
 def component_variances(settings: Settings) -> Float:
     """Return the relative variances (3,) of u, v, w in motion that the prior suppresses.
-
-    They are those of deep-water waves, or equal for a light sheet.
-    """
+    They are those of deep-water waves, or equal for a light sheet."""
     return WAVE_VARIANCES if settings.sheet_thickness is None else np.ones(3)
 
 
 def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:
     """Return the variance, px^2, that motion of the water causes in each camera's image, (N, ny, nx).
-
-    `parts` (3,) are the variances of dx, dy, dz, m^2. The result is the mean over both image components.
-    """
+    `parts` (3,) are the variances of dx, dy, dz, m^2. The result is the mean over both image components."""
     square = np.einsum("kiyx,i->kyx", np.square(displacements.jacobian), parts)
     return np.asarray(0.5 * (square[::2] + square[1::2]))

@@ -204,10 +204,8 @@ def analyze_on_workers(
 
 def _through_disk(work: Callable[[Any], Any], folder: Path, numbered: tuple[int, Path]) -> Path:
     """Read a pickled item from a file, apply `work` to it, and return the path of the pickled result.
-
     `numbered` is the number of the item and its file; the result is written in `folder`. Items and results
-    are too large for messages between processes.
-    """
+    are too large for messages between processes."""
     return _dump(work(_load(numbered[1])), folder)
 
 
@@ -241,10 +239,8 @@ def _in_order(
     map_unordered: MapUnordered, folder: Path, work: Callable[[Any], object], items: Sequence[object]
 ) -> Iterator[Any]:
     """Apply `work` to the items on workers, and yield the results in the order of the items.
-
     `map_unordered` runs the tasks on the workers. Items and results are files in `folder`; a result that
-    comes early waits there, and is removed once it has been yielded.
-    """
+    comes early waits there, and is removed once it has been yielded."""
     waiting: dict[int, Path] = {}
     requested = 0
     if not items:
@@ -266,10 +262,8 @@ def write_smoothed(
     store: Path, output: Path | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Path:
     """Write the smoothed fields of a cube (`wavefield.smooth`) to a Zarr store, and return its path.
-
     `store` is that of the cube; `output` is by default next to it. A store appears only once it is complete.
-    `progress` is called with the number of steps written and of all steps.
-    """
+    `progress` is called with the number of steps written and of all steps."""
     import zarr
 
     from wavefield.atomic_write import Product, atomic, check_writable

@@ -75,12 +75,10 @@ _NOT_COMPARED = Remark(
 
 def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> CameraFaults:
     """Compare the images of the cameras at a few frames of the record, and return what is wrong.
-
     Patches of the images may not match even with a correct rig: if waves are higher or steeper than the
     search allows, or in a light sheet that spans several pixels of parallax. Remarks on inconsistent cameras
     are therefore dropped if all cameras together measured most nodes of the sampled steps; ``quality`` (n,
-    ny, nx) is that of these steps.
-    """
+    ny, nx) is that of these steps."""
     series, count = prepared.series, prepared.steps + 1
     matcher = PatchMatcher(lambda name, k: series[name].read_uncovered(k), prepared.rig, prepared.grid)
     frames = evenly_spaced(count, SAMPLE_STEPS)
@@ -99,10 +97,8 @@ def measure_synchrony(
     prepared: PreparedRun, cube: xr.Dataset, frames: Sequence[int], first: int = 0
 ) -> Synchrony:
     """Measure the delays between the cameras at some frames of the record.
-
     ``first`` is the step of the record at which ``cube`` begins. No delays are returned if nothing was
-    learned from the record.
-    """
+    learned from the record."""
     rate = prepared.experiment.frame_rate
 
     def images(k: int) -> Mapping[str, NDArray[np.generic] | None]:
@@ -123,11 +119,9 @@ def measure_synchrony(
 
 def check_record(prepared: PreparedRun, status: Status) -> RiseRatios | None:
     """Find lost, doubled or late frames by comparing the rise of the surface with its velocity.
-
     In a complete cube, steps that use frames from both sides of such a frame are set to NaN in the store; a
     second call changes nothing. Returns the ratios of the other steps
-    (`wavefield.quality.record.rise_ratios`); None for light sheets and for less than five measured steps.
-    """
+    (`wavefield.quality.record.rise_ratios`); None for light sheets and for less than five measured steps."""
     sheet = prepared.geometry.settings.sheet_thickness is not None
     if sheet or status.done + status.faulty < MIN_STEPS:
         return None
@@ -143,9 +137,7 @@ def check_record(prepared: PreparedRun, status: Status) -> RiseRatios | None:
 
 def assess_run(prepared: PreparedRun, status: Status, ratios: RiseRatios | None) -> Verdict:
     """Return the verdict on a cube after its run: all remarks on the measurement.
-
-    ``ratios`` is the result of `check_record`.
-    """
+    ``ratios`` is the result of `check_record`."""
     experiment, series = prepared.experiment, prepared.series
     cube = open_cube(status.store)
     sample = cube[[*COMPARED, "eps_piv", "quality"]]
@@ -210,9 +202,7 @@ def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
 
 def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
     """Yield remarks on PIV errors and on holes in the fields of some steps.
-
-    ``fields`` holds z, eps_piv and quality, each (n, ny, nx).
-    """
+    ``fields`` holds z, eps_piv and quality, each (n, ny, nx)."""
     if not np.isfinite(fields["z"]).any():
         return  # failed steps have a remark of their own
     yield from remark_on_eps_piv(fields["z"], fields["eps_piv"])
@@ -228,9 +218,7 @@ def _kinematics(cube: xr.Dataset, sample: xr.Dataset, ratios: RiseRatios) -> Ite
 
 def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
     """Return the fraction of the nodes in view that were measured, not filled; 0 if none is in view.
-
-    With ``by_all``, only nodes that were measured with all cameras count.
-    """
+    With ``by_all``, only nodes that were measured with all cameras count."""
     visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
     marks = np.uint16(Quality.MEASURED | (Quality.FEWER_CAMERAS if by_all else 0))
     return float(((quality[visible] & marks) == Quality.MEASURED).mean()) if visible.any() else 0.0
@@ -238,9 +226,7 @@ def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
 
 def _sampled(steps: int) -> list[int]:
     """Return the steps that are matched again after a run: a tenth of all, but at least 4 and at most 12.
-
-    ``steps`` is the number of steps in the record.
-    """
+    ``steps`` is the number of steps in the record."""
     return evenly_spaced(steps, min(MAX_SAMPLED, max(SAMPLE_STEPS, steps // 10)))
 
 
@@ -327,9 +313,7 @@ def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
 
 def store_pair_statistics(prepared: PreparedRun, path: Path) -> None:
     """Write the result of `pair_statistics` into the store of a complete cube.
-
-    Nothing is done if the store has those of its present state, or if no step can be measured.
-    """
+    Nothing is done if the store has those of its present state, or if no step can be measured."""
     group = open_group(path)
     state = state_of(group)
     stored = read_pair_statistics(path)

@@ -92,10 +92,8 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
 def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> None:
     """Link the folder of an existing cube under the hash of its recipe, and let ``latest`` point to it.
-
     ``place`` is the folder of the run, and ``data`` the content of the catalog, to which the hash is added.
-    Nothing is done if ``cube`` is not a cube.
-    """
+    Nothing is done if ``cube`` is not a cube."""
     from wavefield.store.read import is_cube, open_group
 
     if not is_cube(cube):
@@ -112,10 +110,8 @@ def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> N
 
 def _options(catalog: Path, data: Mapping[str, Any], parameter: str) -> list[str]:
     """Return the list of allowed values of a parameter of a catalog.
-
     It is part of ``data``, the content of the catalog: appending to it changes the catalog. Raises
-    ExperimentError if there is none.
-    """
+    ExperimentError if there is none."""
     try:
         options: list[str] = data["user_parameters"][parameter]["options"]
         return options
@@ -224,9 +220,7 @@ def run_catalog(
 
 def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
     """Return the names of all runs of a catalog, or the given ``entries``.
-
-    Raises ExperimentError if an entry is not in the catalog, or if the catalog has no runs.
-    """
+    Raises ExperimentError if an entry is not in the catalog, or if the catalog has no runs."""
     path = Path(catalog).absolute()
     options = read_yaml(path).get("user_parameters", {}).get("run", {}).get("options", [])
     unknown = [name for name in entries if name not in options]
@@ -252,9 +246,8 @@ def _refuse_names(catalog: Path, runs: Sequence[str]) -> None:
 
 def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experiment":
     """Read the experiment of a run of a catalog.
-
-    ``chosen["run"]`` is the name of the run; ``chosen["location"]``, if given, is the folder of its images.
-    """
+    ``chosen["run"]`` is the name of the run; ``chosen["location"]``, if given, is the folder of its
+    images."""
     from wavefield.series import Experiment
 
     place = _folder(catalog, chosen)
@@ -263,17 +256,13 @@ def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experime
 
 def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
     """Return the path of the cube of the run ``chosen["run"]``; the cube may not exist.
-
-    ``chosen["recipe"]`` is the hash of a recipe; by default the recipe that was run last.
-    """
+    ``chosen["recipe"]`` is the hash of a recipe; by default the recipe that was run last."""
     return _folder(catalog, chosen) / chosen.get("recipe", "latest") / "cube.zarr"
 
 
 def _folder(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
     """Return the folder of the run ``chosen["run"]`` in a catalog.
-
-    Raises ExperimentError if ``chosen`` has a key other than `run`, `recipe` and `location`.
-    """
+    Raises ExperimentError if ``chosen`` has a key other than `run`, `recipe` and `location`."""
     unknown = [name for name in chosen if name not in _PARAMETERS]
     if unknown:
         raise ExperimentError(f"{catalog} has no parameter {unknown[0]!r}; it has {', '.join(_PARAMETERS)}")
@@ -289,9 +278,7 @@ def _named(progress: "ProgressFunction | None", run: str) -> "ProgressFunction |
 
 def find_cube(catalog: str | Path, run: str | None = None) -> Path:
     """Return the path of the latest cube of a run; without ``run``, of the only run that has one.
-
-    Raises ExperimentError if there is no cube, or if several runs have one and ``run`` is not given.
-    """
+    Raises ExperimentError if there is no cube, or if several runs have one and ``run`` is not given."""
     path = Path(catalog).absolute()
     cubes = {name: cube_of(path, {"run": name}) for name in runs_of(path, () if run is None else [run])}
     existing = {name: cube for name, cube in cubes.items() if cube.exists()}
@@ -307,9 +294,7 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
 
 def _new_cube(catalog: Path, run: str, recipe: str) -> Path:
     """Return the path for the cube of a run with a recipe, given as its hash.
-
-    Also adds the hash to the values that the parameter `recipe` of the catalog may have.
-    """
+    Also adds the hash to the values that the parameter `recipe` of the catalog may have."""
     with _editing(catalog) as data:
         options = _options(catalog, data, "recipe")
         if recipe not in options:
@@ -319,9 +304,7 @@ def _new_cube(catalog: Path, run: str, recipe: str) -> Path:
 
 def _link_latest(folder: Path) -> None:
     """Make the link ``latest``, next to the folder of a recipe, point to this folder.
-
-    Raises StoreError if the link cannot be made.
-    """
+    Raises StoreError if the link cannot be made."""
     temporary = folder.with_name(f".latest.{os.getpid()}")
     try:
         temporary.unlink(missing_ok=True)
@@ -341,9 +324,7 @@ def _link_latest(folder: Path) -> None:
 @contextmanager
 def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
     """Lock a catalog, yield its content for changes, and write it back with its comments.
-
-    A catalog that does not exist is created.
-    """
+    A catalog that does not exist is created."""
     editor = YAML()
     editor.preserve_quotes, editor.width = True, 110
     folder = catalog.with_suffix("")
@@ -364,9 +345,7 @@ def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
 
 def _quoted(text: str) -> str:
     """Return a text in quotes, unless it is a plain word that YAML reads as text.
-
-    The hash 795126e3, for example, would be read as a number.
-    """
+    The hash 795126e3, for example, would be read as a number."""
     quoted: str = SingleQuotedScalarString(text)
     try:
         float(text)

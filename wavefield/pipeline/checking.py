@@ -94,9 +94,7 @@ class Trial:
 
 def measure_some(prepared: PreparedRun) -> Trial:
     """Measure a few steps in the middle of the record, and estimate the cost of the whole run.
-
-    Raises ExperimentError if none of these steps can be measured.
-    """
+    Raises ExperimentError if none of these steps can be measured."""
     start = whole_step(prepared.series)
     stop = min(start + TRIAL_STEPS, prepared.steps)
     learned = learn_from(samples(prepared.series, [start]), prepared.geometry, prepared.experiment.frame_rate)
@@ -136,9 +134,7 @@ def spell_size(count: float) -> str:
 
 def whole_step(series: Mapping[str, FrameSeries]) -> int:
     """Return the step nearest to the middle of the record whose two frames exist in every camera.
-
-    Raises ExperimentError if there is no such step.
-    """
+    Raises ExperimentError if there is no such step."""
     complete = complete_steps(series)
     steps = np.flatnonzero(complete)
     if steps.size == 0:
@@ -225,9 +221,7 @@ class Check:
     @property
     def exit_status(self) -> int:
         """Exit status of the command `wavefield check`.
-
-        It is 1 if a run cannot start, 3 if there are remarks that are not mere notes, and else 0.
-        """
+        It is 1 if a run cannot start, 3 if there are remarks that are not mere notes, and else 0."""
         if self.problems:
             return 1
         return self.verdict.exit_status if self.verdict else 0

@@ -75,10 +75,8 @@ def make_chunk(
     sources: Mapping[str, Source], start: int, stop: int, departures: np.ndarray | None = None
 ) -> Chunk:
     """Return the chunk of the steps from start to stop (excluded), with the frames that it needs.
-
     ``sources`` and ``departures`` (frames,) are those of the whole record. A departure is the lateness of a
-    frame relative to even times, in frame intervals.
-    """
+    frame relative to even times, in frame intervals."""
     first = max(start - AROUND - 1, 0)
     windows = {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}
     if departures is not None:
@@ -88,9 +86,7 @@ def make_chunk(
 
 def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> Frame:
     """Read a frame, and mark it as repeated if it equals the image of the frame before it.
-
-    ``before`` is that image; it is read from the source if it is not given.
-    """
+    ``before`` is that image; it is read from the source if it is not given."""
     frame = source.read(index)
     if frame.image is not None and index:
         before = source.read(index - 1).image if before is None else before
@@ -163,10 +159,8 @@ def measure_chunk(
     terms: bool = False,
 ) -> Measured:
     """Measure all steps of a chunk.
-
     ``geometry`` and ``model`` hold the rig, grid and settings, and what was learned from the record. With
-    ``terms``, the terms of the standard uncertainties are added to the fields.
-    """
+    ``terms``, the terms of the standard uncertainties are added to the fields."""
     from wavefield.measurement.stabilize import steady
     from wavefield.measurement.step import measure
 
@@ -186,9 +180,7 @@ def _find_dim_frames(
     frames: Mapping[str, ChunkFrames], status: np.ndarray, chunk: Chunk, geometry: "GridGeometry"
 ) -> None:
     """Add nearly blank images to the faults of ``frames``.
-
-    Only the two frames of each step that was not fully measured are examined.
-    """
+    Only the two frames of each step that was not fully measured are examined."""
     from wavefield.measurement.images import usable
 
     suspicious = np.flatnonzero(status != FrameStatus.DONE)
@@ -210,9 +202,8 @@ def _find_high_water(
     geometry: "GridGeometry",
 ) -> None:
     """Mark steps in which the elevation z (n, ny, nx) reaches a limit of the searched range.
-
-    Adds the fault to the first frame of the step in the reference camera, and changes ``status`` of the step.
-    """
+    Adds the fault to the first frame of the step in the reference camera, and changes ``status`` of the
+    step."""
     from wavefield.measurement.search_range import at_border
 
     for step in np.flatnonzero(status != FrameStatus.FAILED).tolist():

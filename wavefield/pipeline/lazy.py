@@ -218,10 +218,8 @@ def _grid_of(given: Mapping[str, Any]) -> Grid:
 
 def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
     """Measure a chunk of n steps, and return its variables for one Dask block.
-
     The block is an object array (n,), whose first element is a dict of all variables. ``known`` is the result
-    of `_Learner`.
-    """
+    of `_Learner`."""
     geometry, model = known
     measured = measure_chunk(chunk, geometry, frame_rate, model)
     out = np.empty(chunk.steps, object)
@@ -231,9 +229,7 @@ def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
 
 def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array:
     """Return one variable of the cube as a lazy array.
-
-    ``measured`` holds the results of `_measure` for all chunks; ``shape`` is (ny, nx).
-    """
+    ``measured`` holds the results of `_measure` for all chunks; ``shape`` is (ny, nx)."""
     row = TABLE[name]
     nodes = shape if len(row.dims) == 3 else ()
     out: da.Array = da.map_blocks(
@@ -251,9 +247,7 @@ def _gain(
     once: Mapping[str, Delayed], geometry: "GridGeometry"
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the tables of the response of the measurement to waves, lazy, and the axes of the tables.
-
-    Each table is given as (dimensions, array). ``once`` holds the delayed variables without time.
-    """
+    Each table is given as (dimensions, array). ``once`` holds the delayed variables without time."""
     from wavefield.measurement.resolution import tabulated
 
     table = tabulated(geometry, None)
@@ -279,10 +273,8 @@ def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> Non
 
 class _Learner:
     """Learns search ranges and the record at the first call, and returns the same result afterwards.
-
     The result is the geometry and the model; the model is None if nothing could be learned. A ``record`` that
-    is given is not learned again.
-    """
+    is given is not learned again."""
 
     def __init__(
         self, geometry: "GridGeometry", frame_rate: float, record: Mapping[str, object] | None
@@ -332,9 +324,7 @@ def _images(
 
 def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) -> tuple[np.ndarray, float]:
     """Return the times of the frames in s, and the frame rate in Hz.
-
-    Raises ExperimentError if cameras differ in their times, or if times are not evenly spaced.
-    """
+    Raises ExperimentError if cameras differ in their times, or if times are not evenly spaced."""
     name, first = next(iter(arrays.items()))
     for other, array in arrays.items():
         if array.dims[0] != "time" or array.ndim != 3:

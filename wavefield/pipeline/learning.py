@@ -31,11 +31,9 @@ def learn_record(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
     """Choose sample steps of a record, and learn bead widths, wave spectra and noise from them.
-
     Returns the learned record as plain data, with the sample steps under the key ``steps``; empty if three
     sets of samples cannot be measured. The argument ``steps`` is the number of steps of the record,
-    ``frame_rate`` is in Hz.
-    """
+    ``frame_rate`` is in Hz."""
     from wavefield.measurement import sample_steps
 
     for number in range(_TRIES):
@@ -48,17 +46,13 @@ def learn_record(
 
 def samples(sources: Mapping[str, Source], steps: Sequence[int]) -> list[Mapping[str, Source]]:
     """Return, for each step and camera, the frames that `learn_from` needs.
-
-    They are the two frames of the step, and the frame before them if there is one.
-    """
+    They are the two frames of the step, and the frame before them if there is one."""
     return [{n: s.window(max(k - 1, 0), k + 2) for n, s in sources.items()} for k in steps]
 
 
 def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the first and the second images of a sample step, each by name of camera.
-
-    An image is None if its frame is bad or repeats the frame before it.
-    """
+    An image is None if its frame is bad or repeats the frame before it."""
     first = {name: read_frame(source, len(source) - 2) for name, source in sample.items()}
     second = {name: read_frame(source, len(source) - 1, first[name].image) for name, source in sample.items()}
 
@@ -72,11 +66,9 @@ def steps_with_waves(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
 ) -> list[int]:
     """Return the steps to learn from.
-
     They are spread over the record or, if these have much weaker waves than others, over the steps with
     strong waves. The strength of a step is the variance of displacements in the images of one camera, about
-    the mean current. ``steps`` is the number of steps of the record.
-    """
+    the mean current. ``steps`` is the number of steps of the record."""
     from wavefield.measurement import sample_steps
 
     usual = sample_steps(steps)
@@ -111,10 +103,8 @@ def learn_from(
     pairs: Sequence[Mapping[str, Source]], geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
     """Learn bead widths, wave spectra and noise from sample steps.
-
     ``pairs`` is the result of `samples`, and ``frame_rate`` is in Hz. Returns the learned record as plain
-    data; empty if no step can be measured.
-    """
+    data; empty if no step can be measured."""
     from wavefield.measurement import learn
     from wavefield.measurement.stabilize import corrected
 
@@ -132,10 +122,8 @@ def learn_from(
 
 def once_per_cube(geometry: "GridGeometry", record: "LearnedRecord | None") -> dict[str, np.ndarray]:
     """Return the variables of a cube without time, by name.
-
     They are tables of the response to waves, and ``z_level_std``, the standard uncertainty of the level z =
-    0, m.
-    """
+    0, m."""
     from wavefield.measurement.error_budget import level_std
     from wavefield.measurement.resolution import tabulated
 

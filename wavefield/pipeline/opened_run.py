@@ -38,9 +38,7 @@ SAMPLE_FRAMES = 3  # frames of each camera with a checksum: first, middle and la
 
 def image_names(experiment: Experiment, camera: str) -> list[Any]:
     """Return the file names, offset and time stamps of a camera's images, as the recipe holds them.
-
-    A list of more than 20 names is replaced by its length and hash.
-    """
+    A list of more than 20 names is replaced by its length and hash."""
     section = experiment.cameras[camera]
     images: Any = section.images
     if not isinstance(images, str) and len(images) > 20:  # a long list is identified by its hash
@@ -51,10 +49,8 @@ def image_names(experiment: Experiment, camera: str) -> list[Any]:
 
 def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
     """Return the attributes of a cube that describe its experiment, with paths relative to the store.
-
     They are the experiment file, description, image folder and water. The measured values do not depend on
-    them.
-    """
+    them."""
     home, own = store.absolute().parent.resolve(), experiment.path.parent.resolve()
     out: dict[str, Any] = {"experiment_file": _relative(own / experiment.path.name, home)}
     if experiment.description:
@@ -75,9 +71,7 @@ def _relative(path: Path, home: Path) -> str:
 
 def _named(store: Path, attributes: Mapping[str, object], name: str) -> Path:
     """Return the path that the attribute ``name`` of a cube states.
-
-    It is relative to the folder of the store.
-    """
+    It is relative to the folder of the store."""
     home = store.absolute().parent.resolve()
     return Path(os.path.normpath(home / str(attributes.get(name, ""))))
 
@@ -89,10 +83,8 @@ def experiment_path(store: Path, attributes: Mapping[str, object]) -> Path:
 
 def load_experiment(store: Path, attributes: Mapping[str, object], given: Path | None = None) -> Experiment:
     """Read the experiment of a cube: the file ``given``, or else one whose images are those of the cube.
-
     This is the file next to the cube or, if that is missing or does not fit, the file that ``attributes``
-    state.
-    """
+    state."""
     named, folder = experiment_path(store, attributes), _named(store, attributes, "image_folder")
     images = folder if attributes.get("image_folder") and folder.is_dir() else None
     if given is not None:
@@ -113,10 +105,8 @@ def load_experiment(store: Path, attributes: Mapping[str, object], given: Path |
 
 def _check_fits(experiment: Experiment, store: Path, attributes: Mapping[str, object]) -> None:
     """Raise an error if the images of an experiment are not those of a cube.
-
     ExperimentError is raised if they have other names, and StoreError if the first frame differs. Images that
-    have been removed are not compared.
-    """
+    have been removed are not compared."""
     recipe = json.loads(str(attributes.get("recipe", "{}")))
     for camera, names in recipe.get("images", {}).items():
         if camera not in experiment.cameras or image_names(experiment, camera)[0] != names[0]:
@@ -134,9 +124,7 @@ def _check_fits(experiment: Experiment, store: Path, attributes: Mapping[str, ob
 
 def fingerprints(series: Mapping[str, FrameSeries]) -> dict[str, dict[str, int]]:
     """Return checksums of the first, middle and last image of each camera, by camera and index of frame.
-
-    Images that cannot be read are left out.
-    """
+    Images that cannot be read are left out."""
     out: dict[str, dict[str, int]] = {}
     for name, frames in series.items():
         read = {str(k): frames.read(k).image for k in from_first_to_last(len(frames), SAMPLE_FRAMES)}
@@ -152,10 +140,9 @@ def check_images(
     store: str, begun: Mapping[str, Mapping[str, int]], series: Mapping[str, FrameSeries]
 ) -> None:
     """Raise StoreError if images differ from those with which the run of a cube began.
-
     `begun` has the checksums of the first images, by camera and index of frame, as `fingerprints` returns
-    them. `store` names the cube in the message. Missing cameras and images that cannot be read are skipped.
-    """
+    them. `store` names the cube in the message. Missing cameras and images that cannot be read are
+    skipped."""
     for name, sums in begun.items():
         for index, expected in sums.items():
             frames = series.get(name)
@@ -362,9 +349,7 @@ class Run:
 
     def _try(self, name: str, load: Callable[[], T], absent: T) -> T:
         """Return the result of ``load``, or ``absent`` if it raises an error.
-
-        The message of the error is kept as the reason why the part ``name`` is absent.
-        """
+        The message of the error is kept as the reason why the part ``name`` is absent."""
         try:
             return load()
         except (WavefieldError, OSError) as error:

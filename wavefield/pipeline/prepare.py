@@ -48,10 +48,8 @@ _MAX_THICKNESS_FRACTION = 0.05  # beads and light sheets, as a fraction of that 
 
 def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> None:
     """Raise an error if the cameras of a rig cannot be placed as stated.
-
     RigError is raised if their distances from the water cannot be in metres, or if z = 0 is not the water;
-    ExperimentError if a camera is below the water. ``rig_file`` is the name of the rig in messages.
-    """
+    ExperimentError if a camera is below the water. ``rig_file`` is the name of the rig in messages."""
     refuse_own_frame(rig, rig_file)
     distance = float(np.median(_distances(rig)))
     low, high = _CAMERA_DISTANCES
@@ -70,10 +68,8 @@ def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> 
 
 def refuse_own_frame(rig: Rig, rig_file: str) -> None:
     """Raise RigError if z = 0 of a rig is not the water.
-
     This is so if the rig has no camera positions, or is in the coordinate system of one of its cameras.
-    ``rig_file`` is the name of the rig in messages.
-    """
+    ``rig_file`` is the name of the rig in messages."""
     if rig.lenses_alone:
         raise RigError(
             f"{rig_file} contains lenses but no camera positions; for two cameras at sea, "
@@ -119,10 +115,8 @@ def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
 
 def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
     """Raise ExperimentError if a height in the settings cannot be in metres.
-
     These are elevations, bead heights and thicknesses of light sheets, compared with the distance of the
-    nearest camera. ``source`` names the file of the settings in messages.
-    """
+    nearest camera. ``source`` names the file of the settings in messages."""
     distance = min(_distances(rig))
     for name, value, fraction in (
         ("z_range", settings.z_range, _MAX_ELEVATION_FRACTION),
@@ -139,9 +133,8 @@ def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
 
 def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
     """Raise ExperimentError if the grid, or a camera's part of it, is too small for a wave spectrum.
-
-    It needs 21 interrogation blocks along its longer side. ``source`` names the file of the grid in messages.
-    """
+    It needs 21 interrogation blocks along its longer side. ``source`` names the file of the grid in
+    messages."""
     shapes = {"the grid": geometry.lattice.shape}
     shapes |= {f"the part that {name} sees": s.lattice.shape for name, s in geometry.sights.items()}
     for name, (rows, columns) in shapes.items():
@@ -164,9 +157,7 @@ def name_of_rig(experiment: Experiment, rig: str | Path | Rig | None) -> str:
 
 def _distances(rig: Rig) -> list[float]:
     """Return the distance of each camera from the water, m, along the line of sight of its image centre.
-
-    If the image centre is above the horizon, the distance is the height of the camera.
-    """
+    If the image centre is above the horizon, the distance is the height of the camera."""
     distances = []
     for camera in rig.cameras.values():
         x, y = (float(v) for v in camera.unproject(*(0.5 * (n - 1) for n in camera.size)))
@@ -244,11 +235,9 @@ def prepare(
     workflow: str | Path | Workflow | None = None,
 ) -> PreparedRun:
     """Read and check the inputs of a run; writes nothing.
-
     ``rig`` is used instead of the rig that the experiment names. Search ranges that the settings do not give
     are estimated from sample images. Raises ExperimentError or RigError if a file is missing or wrong, or if
-    rig, grid or elevations cannot be in metres.
-    """
+    rig, grid or elevations cannot be in metres."""
     from wavefield.measurement import GridGeometry
     from wavefield.measurement.stabilize import refuse_unless_in_a_row
 
@@ -334,9 +323,7 @@ def load_files(
     experiment: str | Path | Experiment, workflow: str | Path | Workflow | None
 ) -> tuple[Experiment, Workflow]:
     """Return the experiment and the workflow, read from their files unless they are given as objects.
-
-    Without a workflow, the default workflow is returned.
-    """
+    Without a workflow, the default workflow is returned."""
     if not isinstance(experiment, Experiment):
         experiment = Experiment.load(experiment)
     if not isinstance(workflow, Workflow):
@@ -348,9 +335,7 @@ def make_recipe(
     experiment: Experiment, series: Mapping[str, FrameSeries], geometry: "GridGeometry", packing: str
 ) -> Recipe:
     """Return the recipe of a run: everything that determines the values of the cube.
-
-    ``packing`` is the type of the stored values, "float32" or "int16".
-    """
+    ``packing`` is the type of the stored values, "float32" or "int16"."""
     one = next(iter(series.values()))
     return Recipe(
         experiment=experiment.name,
@@ -369,9 +354,7 @@ def make_recipe(
 
 def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
     """Return the settings of the measurement.
-
-    Settings of the workflow take precedence over settings of the experiment, and these over the defaults.
-    """
+    Settings of the workflow take precedence over settings of the experiment, and these over the defaults."""
     from wavefield.measurement.settings import Settings
 
     for source in (experiment, workflow):  # checked one by one, so that errors name the right file
@@ -392,11 +375,9 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
 
 def choose_chunk_steps(steps: int, workers: int, step_bytes: int, memory: int | None) -> int:
     """Return the number of steps per chunk.
-
     It is at most `MAX_CHUNK_STEPS`, small enough for memory, and divides the steps evenly between the
     workers. ``step_bytes`` is the size of the results of one step, and ``memory`` the memory of a worker,
-    bytes.
-    """
+    bytes."""
     # half of the memory is for the results: as measured, stacked and compressed, with some reserve
     fitting = int((memory or 1_500_000_000) // 2 // (4 * step_bytes))
     longest = max(1, min(MAX_CHUNK_STEPS, fitting))

@@ -144,10 +144,9 @@ def process(
     progress: ProgressFunction | None = None,
 ) -> Status:
     """Create the store or resume it, measure all chunks that are left, and assess the cube.
-
     ``lock`` is the lock on the store, which the caller holds. ``map_unordered(work, chunks)`` runs the tasks
-    on workers, and yields each chunk with its result or error. Raises RunStopped if the run is interrupted.
-    """
+    on workers, and yields each chunk with its result or error. Raises RunStopped if the run is
+    interrupted."""
     path = lock.store
     with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
         try:
@@ -195,9 +194,7 @@ def _how_far(path: Path) -> str:
 
 def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, StoreLayout]:
     """Open the store of a run if it exists and fits, or else learn the record and create the store.
-
-    Returns the run with what was learned from its record, and the layout of the store.
-    """
+    Returns the run with what was learned from its record, and the layout of the store."""
     if path.exists():
         group = open_group(path)
         check_recipe(path, group.attrs, prepared.recipe)
@@ -231,10 +228,8 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
     """Return the chunks to measure, as (start, stop) in steps.
-
     They are chunks that are not done, whose files are missing, or that had bad frames which are readable now.
-    Chunks that were done before are marked as not started in the store.
-    """
+    Chunks that were done before are marked as not started in the store."""
     from wavefield.measurement.images import usable
 
     missing = missing_chunks(path, layout)
@@ -266,10 +261,8 @@ def _work_off(
     prepared: PreparedRun, lock: Lock, todo: Sequence[Chunk], map_unordered: MapFunction, tracker: "_Tracker"
 ) -> None:
     """Measure chunks on the workers, and count them in ``tracker``.
-
     A WavefieldError of a chunk is raised at once. After any other errors, StoreError is raised at the end, or
-    as soon as three chunks have failed and none has succeeded.
-    """
+    as soon as three chunks have failed and none has succeeded."""
     path = lock.store
     work = Work(path, prepared.geometry, prepared.model, prepared.experiment.frame_rate)
     failures: list[tuple[Chunk, BaseException]] = []

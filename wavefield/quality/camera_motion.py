@@ -73,11 +73,9 @@ def sample(
     geometry: "GridGeometry", pair: Pair, flat: Mapping[str, Any], displacement: NDArray[np.floating]
 ) -> Sample | None:
     """Average the epipolar error eps_y and the velocity over the patches that two cameras match.
-
     ``flat`` holds the filtered image of each camera. ``displacement`` (3, ny, nx) is the displacement of the
     water at the grid nodes, metres per frame, NaN where not measured. Returns None if an image is missing or
-    too few patches match.
-    """
+    too few patches match."""
     from wavefield.measurement.pair import match_pair
 
     if not all(name in flat for name in pair):
@@ -114,19 +112,15 @@ def sample(
 
 def _sight_slope(camera: "Camera", axis: int, v: Array) -> Array:
     """Return how far a sight line's intersection with the water shifts per metre of elevation.
-
     The shift is along x (``axis`` 0) or y (1), for sight lines that meet z = 0 at the coordinates ``v``,
-    metres.
-    """
+    metres."""
     return np.asarray((v - camera.centre[axis]) / -camera.centre[2])
 
 
 def _patch_means(values: Array, side: float) -> Array:
     """Average quantities, given in blocks, over square patches of the field.
-
     ``values`` is (quantities, blocks); its first two rows are x and y, and ``side`` is the side of a patch in
-    the same unit. Returns (quantities, patches) without patches that hold few blocks.
-    """
+    the same unit. Returns (quantities, patches) without patches that hold few blocks."""
     if not values.size:
         return values
     column, row = np.floor((values[:2] - values[:2].min(axis=1)[:, None]) / side).astype(np.intp)
@@ -167,10 +161,8 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
 
 def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[float, list[Array]]:
     """Fit the delay by weighted least squares.
-
     ``weights`` holds the weights of the patches of each sample. Returns the delay, in frame intervals, and
-    the residuals of eps_y of each sample, px.
-    """
+    the residuals of eps_y of each sample, px."""
     residuals = [_residuals(s, w) for s, w in zip(samples, weights)]
     power = sum(float((w * v * v).sum()) for (_, v), w in zip(residuals, weights))
     delay = sum(float((w * v * y).sum()) for (y, v), w in zip(residuals, weights)) / max(power, 1e-12)
@@ -179,10 +171,8 @@ def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[flo
 
 def _residuals(one: Sample, weight: Array) -> tuple[Array, Array]:
     """Remove a constant and linear terms in x and y from eps_y and from the velocity.
-
     These terms are fitted with the weights of the patches (m,). Returns the rest of eps_y and of the
-    velocity, each (m,).
-    """
+    velocity, each (m,)."""
     root = np.sqrt(weight)[:, None]
     both = np.stack([one.eps_y, one.velocity], axis=-1)
     fit = np.linalg.lstsq(root * one.design, root * both, rcond=None)[0]
@@ -192,9 +182,7 @@ def _residuals(one: Sample, weight: Array) -> tuple[Array, Array]:
 
 def fit_row_time(samples: Sequence[Sample]) -> tuple[float, float] | None:
     """Fit the delay from one image row to the next, which is assumed to be equal in both cameras.
-
-    Returns the delay and its standard uncertainty, in frame intervals; None if they cannot be determined.
-    """
+    Returns the delay and its standard uncertainty, in frame intervals; None if they cannot be determined."""
     return regress(
         [
             replace(s, velocity=s.velocity * s.rows, design=np.column_stack([s.design, s.velocity]))
@@ -206,9 +194,7 @@ def fit_row_time(samples: Sequence[Sample]) -> tuple[float, float] | None:
 
 def _cell_numbers(one: Sample) -> NDArray[np.intp]:
     """Return, for each patch (m,), the number of the part of the field in which it lies.
-
-    The field has `CELLS` x `CELLS` parts.
-    """
+    The field has `CELLS` x `CELLS` parts."""
     column, row = np.clip((one.design[:, 1:3].T + 1) * (0.5 * CELLS), 0, CELLS - 1).astype(np.intp)
     return np.asarray(row * CELLS + column)
 
@@ -263,9 +249,7 @@ def _prepared(
     images: Mapping[str, NDArray[Any] | None], geometry: "GridGeometry", widths: Mapping[str, float]
 ) -> dict[str, Any]:
     """Filter the images of one frame for matching between cameras; returns them by camera.
-
-    Missing or bad images are left out. ``widths`` is the width of the beads in each camera, px.
-    """
+    Missing or bad images are left out. ``widths`` is the width of the beads in each camera, px."""
     from wavefield.measurement.images import prepare, ready, usable
 
     out = {}
@@ -279,10 +263,8 @@ def _prepared(
 
 def _camera_delays(found: Mapping[Pair, tuple[float, float]], rate: float) -> dict[str, Delay]:
     """Convert delays of pairs, in frame intervals, to the delay of each camera, in seconds.
-
     ``found`` holds the delay and its uncertainty for each pair (reference camera, other camera). The result
-    is relative to the median camera, or to the reference camera if there are only two.
-    """
+    is relative to the median camera, or to the reference camera if there are only two."""
     delays = {next(iter(found))[0]: (0.0, 0.0)} | {name: one for (_, name), one in found.items()}
     # only differences are measured: zero is the median camera of three or more, the reference camera of two
     median = next(iter(delays))
@@ -385,9 +367,7 @@ def camera_motion(cube: xr.Dataset) -> CameraMotion:
 
 def _fit_linear(design: Array, values: Array) -> tuple[Array, Array] | None:
     """Fit the columns of ``design`` (n, 3) to ``values`` (n,), without outliers and missing values.
-
-    Returns the coefficients (3,) and their standard uncertainties (3,); None if too few values are left.
-    """
+    Returns the coefficients (3,) and their standard uncertainties (3,); None if too few values are left."""
     near = np.isfinite(values)
     if near.sum() >= MIN_NODES:
         departure = values - np.median(values[near])
@@ -402,10 +382,8 @@ def _fit_linear(design: Array, values: Array) -> tuple[Array, Array] | None:
 
 def find_jump(series: Array) -> int | None:
     """Find the largest jump of a series (n, 3) of coefficients of eps_y, px.
-
     Returns the index of the first value after the jump; None if no jump is larger than the scatter and
-    `MAX_EPS_Y`.
-    """
+    `MAX_EPS_Y`."""
     n = len(series)
     if n < 2 * MIN_STEPS_PER_SIDE:
         return None
@@ -435,10 +413,8 @@ def find_knock(found: CameraMotion) -> Knock | None:
 
 def vibration_rms(found: CameraMotion, knocked: Knock | None) -> tuple[float, float]:
     """Return the rms variation of eps_y over the field and the steps, and its standard uncertainty, px.
-
     The means before and after the knock ``knocked`` are subtracted separately. The noise of the fits is
-    subtracted from the variance.
-    """
+    subtracted from the variance."""
     cut = np.searchsorted(found.steps, knocked.frame) if knocked else 0
     halves = found.coefficients[:cut], found.coefficients[cut:]
     parts = [part - part.mean(axis=0) for part in halves if len(part)]

@@ -55,9 +55,7 @@ MAX_BLUR_RATIO = 1.6  # width of beads over that in the other cameras, in px and
 @dataclass
 class PatchMatcher:
     """Square patches of the cameras' images, resampled on the plane of the water at rest.
-
-    The patches of an image are made when they are first used, and then kept.
-    """
+    The patches of an image are made when they are first used, and then kept."""
 
     read: Read  # Returns the image of a camera at a frame
     rig: Rig  # Calibrated cameras
@@ -71,9 +69,7 @@ class PatchMatcher:
 
     def _places(self) -> tuple[Array, Array]:
         """Choose the patches: returns the coordinates x, y of their centres, each (n,), metres.
-
-        They are spread over the area that all cameras see.
-        """
+        They are spread over the area that all cameras see."""
         pitch = SIDE * self.pixel
         limits = (self.grid.x, self.grid.y)
         x, y = (np.arange(low + pitch / 2, high - pitch / 2 + 1e-9, pitch) for low, high in limits)
@@ -97,11 +93,9 @@ class PatchMatcher:
 
     def patches(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
         """Return the patches of the image of camera ``name`` at a frame, in grey levels.
-
         The result (n, WHOLE, WHOLE) includes search margins and is cached; it is None without an image.
         ``change`` names a flip of `FLIPS` that is applied to the image first. ``through`` names a camera
-        whose calibration is used instead of the camera's own.
-        """
+        whose calibration is used instead of the camera's own."""
         key = (name, frame, change, through)
         if key not in self._patches:
             self._patches[key] = self.sampled(*key)
@@ -116,9 +110,7 @@ class PatchMatcher:
 
     def textured(self, name: str, frame: int) -> NDArray[np.bool_]:
         """Return a mask (n,) of the patches that show texture in one image.
-
-        Their contrast is more than a fifth of the median contrast of the image's patches.
-        """
+        Their contrast is more than a fifth of the median contrast of the image's patches."""
         patches = self.patches(name, frame)
         if patches is None:
             return np.zeros(len(self.x), bool)
@@ -134,9 +126,7 @@ class PatchMatcher:
 
     def parallax(self, pair: Pair) -> Array:
         """Return the parallax of two cameras at the n patches, (n,), m/m.
-
-        It is the displacement between their images on z = 0 per height of the water.
-        """
+        It is the displacement between their images on z = 0 per height of the water."""
         return np.asarray(np.maximum(np.linalg.norm(self._rise(pair), axis=1), 1e-12))
 
     def _rise(self, pair: Pair) -> Array:
@@ -145,10 +135,8 @@ class PatchMatcher:
 
 def _sampled(image: NDArray[np.generic] | None, column: Image, row: Image) -> Image | None:
     """Sample squares (n, WHOLE, WHOLE) of an image at pixel positions; NaN outside the image.
-
     ``column`` and ``row`` (n WHOLE, WHOLE) are the positions. Floating-point images are scaled to a largest
-    value of 255. None if there is no image.
-    """
+    value of 255. None if there is no image."""
     if image is None:
         return None
     flat = np.ascontiguousarray(image, np.float32)
@@ -167,10 +155,8 @@ def middle(patches: Image) -> Image:
 
 def compare(first: Image | None, second: Image | None) -> Array | None:
     """Find, for each patch of the first camera, its displacement in the second camera, (n, 2), px.
-
     Both arguments are (n, WHOLE, WHOLE). The displacement is NaN without a match. Returns None if an image is
-    missing.
-    """
+    missing."""
     if first is None or second is None:
         return None
     moved = np.full((len(first), 2), np.nan)
@@ -200,10 +186,8 @@ def agreement(
     patch_matcher: PatchMatcher, pair: Pair, moved: Array | None, ground: NDArray[np.bool_] | None = None
 ) -> PairConsistency:
     """Judge how well two cameras agree, from the displacements between their patches.
-
     ``moved`` (n, 2) are these displacements, px, NaN without a match, or None if an image is missing.
-    ``ground`` (n,) is True for the patches to compare; by default all.
-    """
+    ``ground`` (n,) is True for the patches to compare; by default all."""
     n = len(patch_matcher.x)
     ground = np.ones(n, bool) if ground is None else ground
     if moved is None or not ground.any():
@@ -231,9 +215,7 @@ def scaled(v: Array) -> Array:
 
 def rms_over_field(smooth: Array) -> float:
     """Return the rms over the field of a linear epipolar error, px.
-
-    ``smooth`` (3,) holds its coefficients, as in `PairConsistency`.
-    """
+    ``smooth`` (3,) holds its coefficients, as in `PairConsistency`."""
     return float(np.sqrt(smooth[0] ** 2 + (smooth[1] ** 2 + smooth[2] ** 2) / 3))
 
 
@@ -258,11 +240,9 @@ class ConsistencyTable:
         self, pair: Pair, frame: int, images: Pair | None = None, *, change: str = "", later: int = 0
     ) -> PairConsistency:
         """Compare the two cameras of a pair at a frame, if required after a change.
-
         ``images`` names two cameras whose images replace the pair's own images, while the calibrations remain
         the pair's. ``change`` names a flip of the second image. ``later`` is the number of frames by which
-        the second image is taken later.
-        """
+        the second image is taken later."""
         patch_matcher, (a, b), (first, second) = self.patch_matcher, pair, images or pair
         one = patch_matcher.patches(first, frame, "", a)
         found = compare(one, patch_matcher.patches(second, frame + later, change, b))
@@ -273,17 +253,13 @@ class ConsistencyTable:
 
     def level(self) -> float:
         """Return the fraction of matched patches from which on two cameras are said to agree.
-
-        It is half of the best pair's fraction, but at least `MIN_AGREEMENT`.
-        """
+        It is half of the best pair's fraction, but at least `MIN_AGREEMENT`."""
         return max(MIN_AGREEMENT, HALF * max(score(found) for found in self.found.values()))
 
     def pair_numbers(self) -> dict[str, dict[str, list[float]]]:
         """Return, for each pair of cameras, two lists with one value per frame.
-
         ``agreement`` is the fraction of matched patches, and ``eps_y`` is the rms of the linear fit of eps_y,
-        px.
-        """
+        px."""
         return {
             "-".join(pair): {
                 "agreement": [round(one.fraction, 3) for one in found],
@@ -295,9 +271,7 @@ class ConsistencyTable:
 
 def score(found: Sequence[PairConsistency]) -> float:
     """Return the mean over the frames of the fraction of matched patches of a pair of cameras.
-
-    It is 0 if eps_y scatters so much that the matches are probably wrong.
-    """
+    It is 0 if eps_y scatters so much that the matches are probably wrong."""
     scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= MIN_PATCHES]
     if not scatter or float(np.median(scatter)) >= MAX_SCATTER:
         return 0.0
@@ -306,10 +280,8 @@ def score(found: Sequence[PairConsistency]) -> float:
 
 def blur(image: NDArray[np.generic] | None) -> float:
     """Return the standard deviation s of the finest details of an image (row, column), px.
-
     NaN if there is no image or no detail. The autocorrelation of Gaussian beads at the lag d, px, is r(d) ~
-    exp(-d^2 / 4 s^2), so that s^2 = 3 / (4 ln(r(1) / r(2))). Noise affects only r(0).
-    """
+    exp(-d^2 / 4 s^2), so that s^2 = 3 / (4 ln(r(1) / r(2))). Noise affects only r(0)."""
     if image is None:
         return float("nan")
     fine = np.asarray(image, np.float32)
@@ -336,11 +308,9 @@ def find_camera_faults(
     patch_matcher: PatchMatcher, count: int, frames: Sequence[int], threads: int = 1
 ) -> CameraFaults:
     """Compare the cameras with each other at some frames, and report their faults.
-
     ``count`` is the number of frames of the record, and ``frames`` are the indices of those to compare.
     Frames that a camera lacks are skipped. The result has no remarks if fewer than two cameras, no complete
-    frame or too few patches are left.
-    """
+    frame or too few patches are left."""
     names = list(patch_matcher.rig)
     complete = tuple(k for k in frames if all(patch_matcher.read(name, k) is not None for name in names))
     if len(patch_matcher.x) < MIN_PATCHES or not complete or len(names) < 2:
@@ -404,10 +374,8 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
 
 def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[Remark]]:
     """Find the cameras that agree with no other camera, and the causes.
-
     Returns the names of these cameras, and remarks on them. If no pair agrees at all, there is only one
-    remark. ``count`` is the number of frames of the record.
-    """
+    remark. ``count`` is the number of frames of the record."""
     level = table.level()
     good = [pair for pair, found in table.found.items() if score(found) >= level]
     # views of two distant cameras may differ too much to match, while each agrees with a third camera
@@ -424,9 +392,7 @@ def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[R
 
 def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
     """Return the remark that a camera, or every camera if no name is given, matches no other.
-
-    It is used if no cause is known.
-    """
+    It is used if no cause is known."""
     pairs = {pair: found for pair, found in table.found.items() if not name or name in pair}
     best = max(map(score, pairs.values()))
     matched = max(float(np.mean([one.fraction for one in found])) for found in pairs.values())
@@ -450,11 +416,9 @@ def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
 
 def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
     """Find by trial why the camera ``name`` does not agree with its partners, and return a remark on it.
-
     At two frames its images are flipped, exchanged for those of another camera, or taken earlier or later.
     ``level`` is the fraction of matched patches that a change must reach; ``count`` is the number of frames
-    of the record.
-    """
+    of the record."""
     frames = table.frames[:2]
     tried: dict[tuple[str, str, str], list[PairConsistency]] = {}  # by kind, detail and partner
     for partner in partners:
@@ -501,19 +465,16 @@ _CAMERA_FAULTS = {
 
 def _explained(name: str, change: str, detail: str, values: Mapping[str, float]) -> Remark:
     """Return the remark on a camera that agrees with the others after a change.
-
-    ``change`` is a key of `_CAMERA_FAULTS`. ``detail`` is the flip, the other camera or the number of frames.
-    """
+    ``change`` is a key of `_CAMERA_FAULTS`. ``detail`` is the flip, the other camera or the number of
+    frames."""
     kind, found, remedy = (part.format(detail) for part in _CAMERA_FAULTS[change])
     return Remark(name, kind, "grave", found, "All results from this camera are wrong", remedy, values)
 
 
 def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     """Report pairs of cameras whose sight lines miss each other by a smooth eps_y, in one remark.
-
     The remark is on the camera that moved if a single camera explains all of these pairs, else on the rig.
-    The list is empty if there are no such pairs.
-    """
+    The list is empty if there are no such pairs."""
     smooth = {
         pair: np.median([one.smooth for one in found if one.fraction > 0], axis=0)
         for pair, found in table.found.items()
@@ -556,10 +517,8 @@ def _moved(subject: str, error: float, sentence: str, values: Mapping[str, float
 
 def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     """Report two pairs of cameras that see the same water at different heights, in one remark.
-
     A camera has then moved along the parallax. The heights do not show which camera: two pairs give one
-    difference, which any of them could explain. The list is empty if there are no such pairs.
-    """
+    difference, which any of them could explain. The list is empty if there are no such pairs."""
     worst, sure = 0.0, 0.0
     which: tuple[Pair, ...] = ()
     for first, second in combinations(table.pairs, 2):
@@ -582,10 +541,8 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
 
 def _height_difference(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
     """Return the height that the first pair sees minus the height that the second pair sees.
-
     The result holds one value for each patch that both pairs match at the kth sampled frame, in px of
-    parallax.
-    """
+    parallax."""
     a, b = table.found[first][k], table.found[second][k]
     both, ia, ib = np.intersect1d(a.places, b.places, return_indices=True)
     parallax = np.minimum(table.patch_matcher.parallax(first), table.patch_matcher.parallax(second))[both]
@@ -594,9 +551,7 @@ def _height_difference(table: ConsistencyTable, first: Pair, second: Pair, k: in
 
 def _significance(found: Sequence[PairConsistency]) -> float:
     """Return the rms of the linear fit of eps_y over its standard uncertainty.
-
-    It is that of the frame with the most matches, or 0 if this has too few.
-    """
+    It is that of the frame with the most matches, or 0 if this has too few."""
     one = max(found, key=lambda each: each.fraction)
     if len(one.eps_y) < MIN_PATCHES:
         return 0.0

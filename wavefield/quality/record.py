@@ -72,10 +72,8 @@ class FrameInspection:
 
 def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
     """Choose the frames of a record that `inspect_frames` reads; returns their indices.
-
     These are all frames of a short record. Of a longer one they are the first, the last and the frames of
-    `SAMPLED_STEPS` random steps.
-    """
+    `SAMPLED_STEPS` random steps."""
     complete = complete_steps(series)
     if len(complete) < 2 * SAMPLED_STEPS:
         return tuple(range(len(complete) + 1))
@@ -86,10 +84,8 @@ def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
 
 def inspect_frames(series: FrameSeries, indices: Iterable[int]) -> FrameInspection:
     """Read some frames of a camera, and find those that are bad or equal the frame before.
-
     ``indices`` are the frames to read; missing frames are skipped. A frame can be compared only if the frame
-    before it was also read.
-    """
+    before it was also read."""
     faults: dict[int, tuple[FrameFault, str]] = {}
     read: list[int] = []
     last: Any = None
@@ -117,9 +113,7 @@ def remark_on_frames(
     series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection]
 ) -> Iterator[Remark]:
     """Report cameras with many bad or repeated frames, or with any frame of another size.
-
-    ``inspections`` holds the result of `inspect_frames` by camera.
-    """
+    ``inspections`` holds the result of `inspect_frames` by camera."""
     for name, found in inspections.items():
         for fault, (words, remedy) in FAULTS.items():
             bad = [index for index, (other, _) in found.faults.items() if other == fault]
@@ -142,10 +136,8 @@ def remark_on_frames(
 
 def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
     """Report faults of the recordings that show without reading all frames.
-
     These are missing frames, dropped or interlaced images, rotated videos, and frame rates that contradict
-    the experiment file.
-    """
+    the experiment file."""
     measuring = {name: series[name] for name in experiment.measuring_cameras if name in series}
     yield from _missing(measuring)
     yield from _rates(experiment, series)
@@ -156,9 +148,7 @@ def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSerie
 
 def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
     """Report cameras with many missing frames, and a record with few complete steps.
-
-    A step is complete if every camera has both of its frames.
-    """
+    A step is complete if every camera has both of its frames."""
     for name, one in series.items():  # for recordings with a clock, `_gaps` reports dropped images
         missing = one.missing
         if one.times is not None or len(missing) <= MAX_LOST * len(one):
@@ -190,9 +180,7 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
 
 def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
     """Report rotated videos, and recordings whose frame rate contradicts the experiment file.
-
-    A note is given if the stated frame rate is only the playback rate of a video.
-    """
+    A note is given if the stated frame rate is only the playback rate of a video."""
     file, rate = experiment.path.name, experiment.frame_rate
     named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
     stated = stated_by_recordings(named, experiment.image_folder)
@@ -314,9 +302,7 @@ def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, r
 @dataclass(frozen=True)
 class RiseRatios:
     """Ratio of w to dz/dt + u . grad z at each step, where dz/dt comes from the steps before and after.
-
-    The ratio changes suddenly where a frame was lost, doubled or late.
-    """
+    The ratio changes suddenly where a frame was lost, doubled or late."""
 
     ratio: Array  # (n,): One per step; NaN where unknown
     variance: Array  # (n,): Variance of the ratio, from independent parts of the field
@@ -329,10 +315,8 @@ class RiseRatios:
 
     def discontinuous(self) -> NDArray[np.intp]:
         """Return the indices of the steps at which the ratio jumps.
-
         The ratio there differs significantly from the mean of the two neighbouring steps, and by more than at
-        any step up to `PATH_REACH` away.
-        """
+        any step up to `PATH_REACH` away."""
         log = np.log(np.maximum(self.ratio, MIN_RATIO))
         relative = self.variance / np.square(np.maximum(self.ratio, MIN_RATIO))
         jump, std = np.full((2, log.size), np.nan)
@@ -346,10 +330,8 @@ class RiseRatios:
 
     def jitter(self) -> float:
         """Return the standard deviation of the frame times, in frame intervals; 0 if it is not significant.
-
         It comes from differences of consecutive ratios. Ratios also depend on the frequency of the waves in
-        view, but that changes slowly.
-        """
+        view, but that changes slowly."""
         known = np.isfinite(self.ratio)
         both = known[1:] & known[:-1]
         if both.sum() < 3:
@@ -370,10 +352,8 @@ class RiseRatios:
 
 def rise_ratios(cube: xr.Dataset) -> RiseRatios:
     """Compute at every step k of a cube the ratio of w to (z(k+1) - z(k-1)) / 2 dt + u . grad z.
-
     The ratio is the slope of a regression over the field. All ratios are NaN if their median is not between 0
-    and `MAX_RATIO`, because the waves are then too fast for the test.
-    """
+    and `MAX_RATIO`, because the waves are then too fast for the test."""
     steps, rate = cube.sizes["time"], float(cube.attrs["frame_rate"])
     spacing = float(cube.x[1] - cube.x[0])
     ratio, variance = np.full((2, steps), np.nan)
@@ -397,11 +377,9 @@ def rise_ratios(cube: xr.Dataset) -> RiseRatios:
 
 def _slope(values: Array, on: Array, usable: Mask) -> tuple[float, float]:
     """Regress the field ``values`` on the field ``on``, both (ny, nx), over the ``usable`` nodes.
-
     Returns the slope and its variance, which comes from the scatter between parts of the field; NaN if there
     are too few parts. The fields are averaged over patches first, which keeps the longer waves: their phase
-    changes less from step to step.
-    """
+    changes less from step to step."""
     count = _patches(usable.astype(float))
     full = count > 0.5 * count.max()
     values, on = (_patches(np.where(usable, one, 0.0)) / np.maximum(count, 1.0) for one in (values, on))
@@ -427,11 +405,9 @@ def _patches(values: Array) -> Array:
 
 def steps_to_leave_out(discontinuous: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
     """Return the indices of the steps that use frames from both sides of a discontinuity.
-
     ``discontinuous`` holds the steps with a discontinuity, and ``steps`` is the number of steps of the
     record. The result is empty if there are several discontinuities and more than half of the record would be
-    left out.
-    """
+    left out."""
     apart = np.abs(np.subtract.outer(np.arange(steps), discontinuous))
     out = np.flatnonzero(apart.min(axis=1, initial=steps) <= PATH_REACH)
     return out if discontinuous.size == 1 or out.size <= HALF * steps else out[:0]
@@ -439,9 +415,7 @@ def steps_to_leave_out(discontinuous: NDArray[np.intp], steps: int) -> NDArray[n
 
 def remark_on_kinematics(sample: xr.Dataset) -> Iterator[Remark]:
     """Report that elevation and velocity violate the kinematic boundary condition.
-
-    The remark is made if the median misfit of the steps in ``sample`` exceeds `MAX_MISFIT`.
-    """
+    The remark is made if the median misfit of the steps in ``sample`` exceeds `MAX_MISFIT`."""
     measured = sample.quality.values & int(Quality.MEASURED) != 0
     fields, rate = {name: sample[name].values for name in COMPARED}, float(sample.attrs["frame_rate"])
     misfits = kinematic_misfit(fields, measured, float(sample.x[1] - sample.x[0]), rate)
@@ -477,9 +451,7 @@ def remark_on_cleared_steps(cube: xr.Dataset) -> Iterator[Remark]:
 
 def remark_on_jitter(ratios: RiseRatios, sample: xr.Dataset) -> Iterator[Remark]:
     """Report jitter of the frame times if it adds larger errors to the velocities than their uncertainty.
-
-    ``sample`` holds the velocities and their uncertainties.
-    """
+    ``sample`` holds the velocities and their uncertainties."""
     jitter, rate = ratios.jitter(), float(sample.attrs["frame_rate"])
     measured = sample.quality.values & int(Quality.MEASURED) != 0
     if not jitter or not measured.any():

@@ -57,9 +57,7 @@ def first_sentence(text: str) -> str:
 
 def remark_on_coverage(seen: float) -> Iterator[Remark]:
     """Report a grid of which less than half is in view of every camera.
-
-    ``seen`` is the fraction of the grid that is in view of every camera.
-    """
+    ``seen`` is the fraction of the grid that is in view of every camera."""
     if seen < HALF:
         yield Remark(
             "grid",
@@ -88,10 +86,8 @@ def remark_on_holes(measured: float) -> Iterator[Remark]:
 
 def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) -> Iterator[Remark]:
     """Report that the cameras contradict each other about the motion of the water.
-
     ``eps_piv`` is eps', the residual of the cameras' displacements after the fit of u, v, w, in px. Nodes at
-    which z or ``eps_piv`` is NaN do not count.
-    """
+    which z or ``eps_piv`` is NaN do not count."""
     valid = np.isfinite(z) & np.isfinite(eps_piv)
     misfit = float(np.median(np.abs(eps_piv[valid]))) if valid.any() else 0.0
     if misfit > MAX_EPS_PIV:
@@ -111,10 +107,8 @@ def remark_on_unresolved_waves(
     fraction: float, wavelength: float, reason: str, remedy: str
 ) -> Iterator[Remark]:
     """Report that waves too short to be resolved have a large part of the variance of w.
-
     `fraction` is that part, and `wavelength` the longest of these waves, m. `reason` and `remedy` are the
-    sentences of the remark that say what this means and what to do.
-    """
+    sentences of the remark that say what this means and what to do."""
     if fraction > MAX_LOST:
         yield Remark(
             "surface",
@@ -155,10 +149,8 @@ def remark_on_steps(status: Status) -> Iterator[Remark]:
 
 def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[str]) -> Iterator[Remark]:
     """Report each camera that was left out at more than a tenth of the nodes.
-
     ``quality`` is the variable of the cube, with bits of `Quality`; ``cameras`` are the names of the cameras
-    in the order of these bits.
-    """
+    in the order of these bits."""
     has_value = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
     for number, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
@@ -177,9 +169,7 @@ def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[st
 
 def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("nan")) -> Remark:
     """Report what defines z = 0: the water at rest, the mean surface, the target or a light sheet.
-
-    ``level_std`` is the standard uncertainty of this level, metres; NaN if unknown.
-    """
+    ``level_std`` is the standard uncertainty of this level, metres; NaN if unknown."""
 
     def note(found: str, means: str, remedy: str = "", weight: Weight = "note", **values: float) -> Remark:
         return Remark("rig", "water level", weight, found, means, remedy, values)
@@ -259,9 +249,7 @@ def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
 
 def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> Iterator[Remark]:
     """Report wave probes that cannot be read, or that were not recorded at the time of the frames.
-
-    ``span`` is the time of the first and of the last frame, s.
-    """
+    ``span`` is the time of the first and of the last frame, s."""
     try:
         probes = experiment.read_probes()
     except ExperimentError as error:
@@ -288,10 +276,8 @@ def remark_on_probes(
     experiment: Experiment, cube: "xr.Dataset", span: tuple[float, float]
 ) -> Iterator[Remark]:
     """Report unusable wave probes, and probes that contradict the elevation in the cube.
-
     ``span`` is the time of the first and of the last frame, s. Only the middle of a long record is compared,
-    at every nth node.
-    """
+    at every nth node."""
     of_file = list(remark_on_probe_file(experiment, span))
     yield from of_file
     if of_file or not experiment.probes:

@@ -132,10 +132,8 @@ def pair_items(run: Run) -> list[Item]:
 
 def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
     """Return one table row, as text, for each kind of error and pair of cameras in `Run.pair_statistics`.
-
     A row holds the name, the rms in cm, the rms in px, the percentage of errors larger than three times the
-    rms, and the rms of Aubourg et al. (2019). An entry is empty where it does not apply.
-    """
+    rms, and the rms of Aubourg et al. (2019). An entry is empty where it does not apply."""
     rows: list[tuple[str, ...]] = []
     for k in range(found.sizes["error"]):
         error = found.isel(error=k)
@@ -153,10 +151,8 @@ def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
 
 def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: float, label: str) -> None:
     """Draw the densities of the errors of some quantities, one line per pair of cameras.
-
     `found` is `Run.pair_statistics`. `factor` converts its values to the displayed unit. `label` is a symbol
-    and this unit, such as "eps_y mm".
-    """
+    and this unit, such as "eps_y mm"."""
     symbol, unit = label.rsplit(" ", 1)
     errors = found.isel(error=np.isin(found.quantity, quantities))
     for k in range(errors.sizes["error"]):
@@ -173,10 +169,8 @@ def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: fl
 
 def pair_misfits(found: xr.Dataset) -> Figure:
     """Draw the distributions of eps_y, mm, and of eps', px, for each pair of cameras on its own.
-
     `found` is `Run.pair_statistics`. The figure corresponds to the distributions of eps_Y and of PIV errors
-    in Aubourg et al. (2019).
-    """
+    in Aubourg et al. (2019)."""
     figure, axes = panels(2, height=4.6)
     _draw(axes[0, 0], found, ("eps_y",), 1e3, "eps_y mm")
     _draw(axes[0, 1], found, ("eps_piv",), 1.0, "eps' px")
@@ -186,11 +180,9 @@ def pair_misfits(found: xr.Dataset) -> Figure:
 
 def pair_differences(found: xr.Dataset) -> Figure:
     """Draw the distributions of differences between pairs of cameras in z, dx, dy and dz, px.
-
     `found` is `Run.pair_statistics`. Aubourg et al. (2019) show the same differences between three pairs, and
     the difference between z from two pairs together and z from the third pair. The mean over time at each
-    node is not subtracted.
-    """
+    node is not subtracted."""
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     figure, axes = panels(2, 2, height=4.8)
     _draw(axes[0, 0], found, ("z", "z_recombined"), per_metre, "difference of z px")

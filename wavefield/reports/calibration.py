@@ -44,11 +44,9 @@ def write_calibration(
     product: Product = REPORT,
 ) -> Path:
     """Write the page `index.html` and the file `numbers.yaml` of a calibration into a folder.
-
     `target` is a function that returns a figure of the target found in the images, or None. Returns the path
     of the page. `product` marks both files as written by wavefield for one experiment. Raises StoreError if
-    one of them exists without this mark.
-    """
+    one of them exists without this mark."""
     directory = Path(directory)
     content: dict[str, Any] = {
         "usable": calibration.usable,
@@ -91,9 +89,8 @@ def _figures(
     calibration: Calibration, observations: Observations, fit: Fit, surface: FlatSurface | None
 ) -> Iterator[CalibrationPicture]:
     """Yield key, title and figure of the pictures of the page.
-
-    `surface` holds the nodes of the flat target, triangulated with the rig, or is None without a flat target.
-    """
+    `surface` holds the nodes of the flat target, triangulated with the rig, or is None without a flat
+    target."""
     with suppress(RigError):  # cameras without a common field
         seen = common_field(calibration.rig.cameras.values())
         yield "rig", "The rig, and the water that all cameras see", rig_views(calibration.rig, seen)
@@ -107,10 +104,8 @@ def _figures(
 
 def _parameters(calibration: Calibration, observations: Observations, fit: Fit) -> dict[str, Any]:
     """Return the lens and pose of each camera with standard uncertainties, by camera and parameter.
-
     A lens parameter is a list of its value and its uncertainty. The translation, and the uncertainties of
-    rotation and translation, are lists of three numbers.
-    """
+    rotation and translation, are lists of three numbers."""
     std, covariance = np.sqrt(np.diag(fit.covariance)), fit.covariance
     out: dict[str, Any] = {}
     for c, name in enumerate(observations.cameras):
@@ -141,9 +136,7 @@ def _parameters(calibration: Calibration, observations: Observations, fit: Fit) 
 
 def calibration_page(content: Content, drawn: Sequence[CalibrationPicture]) -> str:
     """Return the HTML page of a calibration.
-
-    `content` is what `numbers.yaml` holds, `drawn` are key, title and figure of each picture.
-    """
+    `content` is what `numbers.yaml` holds, `drawn` are key, title and figure of each picture."""
     usable = content["usable"]
     verdict = "the rig can be used" if usable else "the rig cannot be used"
     weight = "grave" if not usable else "remark" if content["notes"] else "note"
@@ -229,9 +222,7 @@ def _flat(content: Content) -> str:
 
 def with_std(value: float, std: float) -> str:
     """Return a value and its standard uncertainty as text, "value ± std", with two digits of `std`.
-
-    If `std` is zero, because the value was not fitted, the text is the value and "(held)".
-    """
+    If `std` is zero, because the value was not fitted, the text is the value and "(held)"."""
     if not std > 0:
         return f"{value:.6g} (held)"
     digits = max(0, 1 - int(np.floor(np.log10(std))))
@@ -284,9 +275,7 @@ def calibration_folder(run: Run) -> Path | None:
 
 def calibration_section(run: Run) -> ReportSection:
     """Return the section with the residuals of the calibration and the path of its page of pictures.
-
-    It has no items if there is no calibration report next to the rig file.
-    """
+    It has no items if there is no calibration report next to the rig file."""
     section = ReportSection("Calibration", folded=True)
     folder = calibration_folder(run)
     if folder is None:

@@ -107,9 +107,7 @@ def write_report(
 
 def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSection]]:
     """Return functions without arguments that draw the sections of the report, in order.
-
-    A report on a light sheet has no sections on elevation, waves and distributions.
-    """
+    A report on a light sheet has no sections on elevation, waves and distributions."""
     numbers = RunNumbers(run)
     builders: list[Callable[[], ReportSection]] = [partial(result, numbers), partial(attention, run, verdict)]
     of_surface = [] if in_light_sheet(run) else [spectra, nonlinearity, distributions]
@@ -123,9 +121,7 @@ def build_all(
     builders: list[Callable[[], ReportSection]], progress: Callable[[int, int], None] | None
 ) -> list[ReportSection]:
     """Return the sections of a page, drawn by `builders`.
-
-    `progress` is called with the number of sections drawn and of all sections.
-    """
+    `progress` is called with the number of sections drawn and of all sections."""
     sections = []
     for k, build in enumerate(builders):
         if progress:

@@ -127,10 +127,8 @@ def setup(run: Run) -> ReportSection:
 
 def _middle_frames(run: Run) -> dict[str, np.ndarray]:
     """Return one image (row, column) of each camera of the rig, by camera.
-
     It is the middle frame of the record; if this cannot be read it is the first frame, or else the last. A
-    camera without any of the three is left out.
-    """
+    camera without any of the three is left out."""
     out = {}
     for name, series in run.frames.items():
         if run.rig is not None and name in run.rig.cameras:
@@ -150,9 +148,7 @@ def elevation(run: Run) -> ReportSection:
 
 def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
     """Return the probes of a run and "", or None and the reason why they are absent.
-
-    The reason is empty if the experiment names no probes.
-    """
+    The reason is empty if the experiment names no probes."""
     try:
         probes = run.probes
     except WavefieldError as error:
@@ -187,9 +183,7 @@ def elevation_pictures(run: Run) -> list[Item]:
 
 def probe_items(run: Run) -> list[Item]:
     """Return a picture of probes and cameras over time, and a table of their differences, by probe.
-
-    The list is empty without probes, and has no picture if no probe can be compared.
-    """
+    The list is empty without probes, and has no picture if no probe can be compared."""
     probes, _ = probes_of(run)
     if probes is None:
         return []
@@ -221,10 +215,8 @@ def probe_items(run: Run) -> list[Item]:
 
 def at_probe(cube: xr.Dataset, probe: xr.Dataset) -> xr.Dataset | str:
     """Compare a probe with the cube at the position of the probe, over the middle of the record.
-
     Returns `elevation` of the probe and `z` of the cube, (time,), m, without their means, with their
-    `rms_difference` (m) and `correlation`. If they cannot be compared, it returns the reason, a string.
-    """
+    `rms_difference` (m) and `correlation`. If they cannot be compared, it returns the reason, a string."""
     first = max(0, (cube.sizes["time"] - MAX_STEPS) // 2)
     z = cube.z.isel(time=slice(first, first + MAX_STEPS))
     time, x, y = z["time"].values.astype(float), float(probe.probe_x), float(probe.probe_y)
@@ -266,18 +258,14 @@ MAX_BYTES = 1_500_000  # of the uncompressed fields; compression halves them at 
 
 def player(cube: xr.Dataset, still: Picture) -> Player:
     """Return the player, an animation of the surface, for a cube (time, y, x).
-
-    `still` is a picture for readers without scripts.
-    """
+    `still` is a picture for readers without scripts."""
     return Player(pack(cube), still)
 
 
 def excerpt(cube: xr.Dataset) -> xr.Dataset:
     """Return z, u, v, w (time, y, x), loaded, for the player, an animation in the page.
-
     The steps are successive ones in the middle of the record. Steps before and after them are left out, and
-    nodes in between, so that the fields fit into the page.
-    """
+    nodes in between, so that the fields fit into the page."""
     thin = max(1, int(np.ceil(np.sqrt(cube.sizes["x"] * cube.sizes["y"] / MAX_NODES))))
     nodes = -(-cube.sizes["x"] // thin) * -(-cube.sizes["y"] // thin)
     steps = max(2, MAX_BYTES // (2 * nodes))
@@ -289,10 +277,8 @@ def excerpt(cube: xr.Dataset) -> xr.Dataset:
 
 def _code(values: np.ndarray, half: float) -> str:
     """Encode values (time, y, x) as text for the script of the player.
-
     Codes 1 to 255 stand for values from -half to half, 0 for a missing value. Differences of the codes along
-    x and y, modulo 256, are compressed and written in base 64.
-    """
+    x and y, modulo 256, are compressed and written in base 64."""
     scaled = np.round(np.clip(128 + 127 * values / half, 1, 255))
     codes = np.where(np.isfinite(values), scaled, 0).astype(np.uint8)
     differences = np.diff(np.diff(codes, axis=2, prepend=np.uint8(0)), axis=1, prepend=np.uint8(0))

@@ -66,9 +66,7 @@ def small(value: float, unit: str) -> str:
 
 def thinned(cube: xr.Dataset, *names: str) -> xr.Dataset:
     """Return the named variables of a cube, loaded, at every n-th step.
-
-    n is the smallest number with which a variable has at most about `MAX_VALUES` values.
-    """
+    n is the smallest number with which a variable has at most about `MAX_VALUES` values."""
     size = cube.sizes["time"] * cube.sizes["y"] * cube.sizes["x"]
     return cube[list(names)].isel(time=slice(None, None, -(-size // MAX_VALUES))).load()
 
@@ -93,9 +91,7 @@ def extremes_of(snap: xr.Dataset) -> str:
 
 def reason_of(run: Run, name: str) -> str:
     """Return why the part `name` of a run, such as "waves", is absent; empty if it is there.
-
-    Paths in it are relative to the folders of the run.
-    """
+    Paths in it are relative to the folders of the run."""
     return in_folder(run, run.reason(name))
 
 

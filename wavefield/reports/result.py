@@ -69,9 +69,7 @@ def _percent(share: float) -> str:
 
 def _of_waves(run: Run) -> list[tuple[str, str, str]]:
     """Return rows (name, value, note) of wave height and peak period with their standard uncertainties.
-
-    The note of an unknown value is the reason.
-    """
+    The note of an unknown value is the reason."""
     statistics = run.wave_group("statistics")
     if statistics is None:
         reason = reason_of(run, "waves") or "the waves have no statistics"
@@ -142,10 +140,8 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
 
 def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str]) -> list[tuple[str, str]]:
     """Return a table row with the percentage of values that were measured without each camera.
-
     The list is empty if every camera took part everywhere. `quality` is (time, y, x). Percentages are of
-    `n_in_view`, the number of values at nodes that the cameras see.
-    """
+    `n_in_view`, the number of values at nodes that the cameras see."""
     shares = []
     for index, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(index) & ~Quality.FEWER_CAMERAS)

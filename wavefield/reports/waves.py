@@ -12,9 +12,7 @@ from wavefield.waves.motion import kinematics_at
 
 def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[Item]:
     """Return pictures of the spectra E(k, omega) and E(kx, ky) of w.
-
-    The arguments are the groups ``/spectra`` and ``/dispersion`` of a wave store.
-    """
+    The arguments are the groups ``/spectra`` and ``/dispersion`` of a wave store."""
     energy = group.E.sel(quantity="w").values
     positive = energy[energy > 0]
     decades = float(np.log10(positive.max() / np.median(positive))) if positive.size else 0.0
@@ -109,9 +107,7 @@ def kinematics_picture(snap: xr.Dataset) -> Picture:
 
 def coherence_picture(coherence: xr.Dataset) -> Picture:
     """Return a picture of the coherence of z_t with the terms of the kinematic boundary condition.
-
-    `coherence` is the group ``/coherence`` of a wave store.
-    """
+    `coherence` is the group ``/coherence`` of a wave store."""
     valid = coherence.where(coherence["valid"]) if "valid" in coherence else coherence
     total, nonlinear = (median_of(np.abs(valid.C.sel(term=term).values)) for term in ("tot", "nl"))
     return Picture(
@@ -126,9 +122,7 @@ def coherence_picture(coherence: xr.Dataset) -> Picture:
 
 def nonlinear_ratio_picture(kinematics: xr.Dataset) -> Picture:
     """Return a picture of the ratio of the nonlinear term to the vertical velocity.
-
-    `kinematics` is the group ``/kinematics`` of a wave store.
-    """
+    `kinematics` is the group ``/kinematics`` of a wave store."""
     ratio = kinematics.nonlinear_ratio_k
     return Picture(
         figures.nonlinear_ratio_curves(kinematics),

@@ -192,9 +192,7 @@ class Camera:
 
     def _tangents_of(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the tangents a, b of physical points, and the points' depth zc, metres.
-
-        The depth is along the optical axis. All three results are NaN for points behind the camera.
-        """
+        The depth is along the optical axis. All three results are NaN for points behind the camera."""
         x, y, z = np.asarray(x, float), np.asarray(y, float), np.asarray(z, float)
         (r1, r2, r3), (r4, r5, r6), (r7, r8, r9) = self.rotation
         tx, ty, tz = self.translation
@@ -427,9 +425,7 @@ _OPTIONAL = {"k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew"}
 
 def _terms_of_opencv(D: ArrayLike | None) -> dict[str, float]:
     """Return the lens terms by name from OpenCV's distortion coefficients D.
-
-    Raises a RigError if a coefficient that `Camera` lacks is not zero, or if D has a wrong number of them.
-    """
+    Raises a RigError if a coefficient that `Camera` lacks is not zero, or if D has a wrong number of them."""
     given = np.zeros(0) if D is None else np.ravel(np.asarray(D, float))
     if given.size not in (0, 4, 5, 8, 12, 14):
         raise RigError(f"it has {given.size} distortion coefficients; OpenCV's models have 4, 5, 8, 12 or 14")

@@ -15,9 +15,7 @@ LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", 
 
 def distort(a: Array, b: Array, k: tuple[float, float, float], p: tuple[float, float]) -> tuple[Array, Array]:
     """Return the tangents (a, b) after lens distortion.
-
-    k = (k1, k2, k3) are the radial terms and p = (p1, p2) the tangential terms, as in OpenCV.
-    """
+    k = (k1, k2, k3) are the radial terms and p = (p1, p2) the tangential terms, as in OpenCV."""
     r2 = a * a + b * b
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))
     x, y = a * radial, b * radial
@@ -32,9 +30,7 @@ def distort_jacobian(
     a: Array, b: Array, k: tuple[float, float, float], p: tuple[float, float]
 ) -> tuple[Array, Array, Array]:
     """Return the derivatives of the distorted tangents (x, y) = `distort`(a, b).
-
-    They are dx/da, dx/db (which equals dy/da) and dy/db.
-    """
+    They are dx/da, dx/db (which equals dy/da) and dy/db."""
     r2 = a * a + b * b
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))
     slope = 2.0 * (k[0] + r2 * (2.0 * k[1] + r2 * 3.0 * k[2]))  # 2 d radial / d(r2)
@@ -46,9 +42,7 @@ def distort_jacobian(
 
 def tilt_matrix(tau_x: complex, tau_y: complex) -> NDArray[np.complex128]:
     """Return the homography (3, 3) of a tilted sensor, as in OpenCV's CALIB_TILTED_MODEL.
-
-    The tilts tau_x and tau_y, rad, may be complex.
-    """
+    The tilts tau_x and tau_y, rad, may be complex."""
     cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
     about_y = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]], complex)
     about_x = np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]], complex)
@@ -61,19 +55,15 @@ def tilt_matrix(tau_x: complex, tau_y: complex) -> NDArray[np.complex128]:
 
 def apply_homography(h: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
     """Map points x, y by a homography h (3, 3).
-
-    Returns the new x, the new y, and the denominator by which they were divided.
-    """
+    Returns the new x, the new y, and the denominator by which they were divided."""
     s = h[2, 0] * x + h[2, 1] * y + h[2, 2]
     return (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / s, (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / s, s
 
 
 def project(lens: Array, points: Array) -> tuple[Array, Array, Array]:
     """Project points (n, 3), metres, of a camera's frame onto its sensor.
-
     `lens` (12,) holds the terms in the order of `LENS`. Returns pixels (n, 2), their derivatives with respect
-    to the points (n, 2, 3), px per metre, and their derivatives with respect to the lens terms (n, 2, 12).
-    """
+    to the points (n, 2, 3), px per metre, and their derivatives with respect to the lens terms (n, 2, 12)."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3, tau_x, tau_y, skew = lens.tolist()
     k, p = (k1, k2, k3), (p1, p2)
     zc = points[:, 2]

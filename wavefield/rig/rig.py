@@ -217,9 +217,7 @@ class Rig:
 
 def middle_camera(rig: Rig, names: Sequence[str]) -> str:
     """Return the name of the camera with the smallest sum of distances to all others in `names`.
-
-    Of two such cameras, it is the first.
-    """
+    Of two such cameras, it is the first."""
     centres = np.array([rig[n].centre for n in names])
     reach = np.linalg.norm(centres[:, None] - centres, axis=-1).sum(axis=1)
     return names[int(np.argmin(np.round(reach / max(reach.max(), 1e-30), 9)))]

@@ -16,11 +16,10 @@ from wavefield.rig.rig import Rig
 
 def triangulate(apparent: ArrayLike, sight: ArrayLike) -> tuple[Array, Array, Array, Array]:
     """Find the points x, y, z (...), metres, nearest to the sight lines of N cameras by least squares.
-
     Camera k sees the point on the line x = x_k + D_k z. `apparent` holds x_k, the apparent positions on z =
     0, metres, and `sight` holds D_k, the sight-line coefficients; both are (N, 2, ...), NaN if a camera does
-    not see the point. The last result holds the residuals (N, 2, ...), metres on z = 0. NaN if undetermined.
-    """
+    not see the point. The last result holds the residuals (N, 2, ...), metres on z = 0. NaN if
+    undetermined."""
     p, D = np.asarray(apparent, float), np.asarray(sight, float)
     visible = np.isfinite(p).all(1) & np.isfinite(D).all(1)
     weight = np.where(visible, 1.0, 0.0)[:, None]
@@ -40,9 +39,7 @@ def triangulate(apparent: ArrayLike, sight: ArrayLike) -> tuple[Array, Array, Ar
 
 def jacobians(cameras: Sequence[Camera], x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Array:
     """Return the derivatives of the pixels of N cameras with respect to x, y, z, px per metre.
-
-    The result is (..., 2N, 3), with the rows X_1, Y_1, X_2, Y_2, ... at positions x, y, z, metres.
-    """
+    The result is (..., 2N, 3), with the rows X_1, Y_1, X_2, Y_2, ... at positions x, y, z, metres."""
     shape = np.broadcast_shapes(np.shape(x), np.shape(y), np.shape(z))
     out = np.empty((*shape, 2 * len(cameras), 3))
     for n, camera in enumerate(cameras):
@@ -56,10 +53,8 @@ _inputs = [ArrayType(float64, axes, "A", readonly=True) for axes in (3, 2, 2, 2)
 @compiled(void(*_inputs, float64[:, ::1], float64[:, ::1]))
 def _solve(jacobian: Array, observed: Array, weight: Array, noise: Array, out: Array, std: Array) -> None:
     """Solve the weighted 3 x 3 normal equations of each point.
-
     Fills `out` (n, 3), the solutions, and `std` (n, 3), their standard uncertainties, in place. `noise` holds
-    the variances of the observations.
-    """
+    the variances of the observations."""
     for n in range(observed.shape[0]):
         a = b = c = d = e = f = 0.0  # normal matrix [[a, b, c], [b, d, e], [c, e, f]]
         p = q = r = 0.0
@@ -120,12 +115,10 @@ def solve_displacement(
     jacobian: ArrayLike, displacement: ArrayLike, std: ArrayLike | None = None, noise: ArrayLike | None = None
 ) -> tuple[Array, Array]:
     """Find the displacement d in space from the displacements dX in the images of N cameras.
-
     d minimises sum (J d - dX)^2 / std^2, where J is `jacobian` (..., 2N, 3), px per metre, dX is
     `displacement` (..., 2N), px, and `std` (..., 2N) is in px. Returns d (..., 3), metres, and its standard
     uncertainty. This follows from `noise` (..., 2N), the standard uncertainty of dX in px, or from `std` if
-    there is none. NaN if undetermined.
-    """
+    there is none. NaN if undetermined."""
     J, observed = np.asarray(jacobian, float), np.asarray(displacement, float)
     with np.errstate(divide="ignore"):
         weight = np.ones(1) if std is None else 1.0 / np.square(np.asarray(std, float))
@@ -143,9 +136,7 @@ def solve_displacement(
 
 def parallax(rig: Rig, pair: tuple[str, str], x: ArrayLike, y: ArrayLike) -> Array:
     """Return the parallax of a pair of cameras per height of a point, (2, ...).
-
-    It is the first camera's sight-line coefficients at x, y, metres, minus those of the second.
-    """
+    It is the first camera's sight-line coefficients at x, y, metres, minus those of the second."""
     first, second = (rig[name].sight_line(x, y) for name in pair)
     return np.subtract(first, second)
 
@@ -154,10 +145,8 @@ def epipolar_distance(
     a: Camera, b: Camera, Xa: ArrayLike, Ya: ArrayLike, Xb: ArrayLike, Yb: ArrayLike
 ) -> Array:
     """Return the signed distances (n,) of pixels in image b from the epipolar lines of their matches, px.
-
     (Xa, Ya) are the matching pixels in image a, and (Xb, Yb) those in image b. Lens distortion is taken into
-    account.
-    """
+    account."""
     xa = np.stack([*a.tangents(Xa, Ya), np.ones(np.shape(Xa))])
     Xb, Yb = np.asarray(Xb, float), np.asarray(Yb, float)
     xb = np.stack([*b.tangents(Xb, Yb), np.ones(np.shape(Xb))])

@@ -27,13 +27,11 @@ DEPARTURE_STEP = 1e-4  # intervals: delays are rounded to this, which changes ve
 
 def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times | None:
     """Return the times of a camera's images, (n,), s, as stated by its recordings.
-
     `images` is the camera's entry in the experiment file, `folder` the folder of the images, and `frame_rate`
     is in Hz. A video states playback times, which are scaled so that the usual interval is one frame
     interval. Returns None if a file is not a recording or has no times, if there are several videos, or if
     the times do not increase. ExperimentError if the time stamps of a recording other than a video contradict
-    the frame rate.
-    """
+    the frame rate."""
     parts, paths = [], recordings_of(images, camera, folder)
     for path in paths:
         try:
@@ -57,12 +55,10 @@ def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> T
 
 def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     """Raise ExperimentError if increasing time stamps, (n,), s, contradict a frame rate, Hz.
-
     The mean interval between time stamps, without intervals across dropped frames, may differ by 1 % from the
     frame interval. It may differ by its own uncertainty if that is larger: the largest minus the smallest
     interval, divided by the number of intervals. The message begins with `words`, in which ``{rate:g}`` is
-    replaced by the rate of the time stamps.
-    """
+    replaced by the rate of the time stamps."""
     usual = usual_intervals(times)
     if not len(usual):
         return
@@ -79,10 +75,8 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
 
 def read_time_stamps(path: Path, camera: str) -> Times:
     """Return the times in a file of time stamps, (n,), s.
-
     The file has one time per line, or is a CSV file with a column ``time``. `camera` is named in messages.
-    ExperimentError if the file cannot be read, or if its times are not increasing numbers.
-    """
+    ExperimentError if the file cannot be read, or if its times are not increasing numbers."""
     times: list[float] = []
     column, columns = 0, 1
     for number, line in numbered_lines(path, f"the time stamps of {camera}"):
@@ -107,12 +101,10 @@ def place_by_time(
     numbered: Numbered, times: Times, start: float, frame_rate: float, path: Path, camera: str
 ) -> Numbered:
     """Return a camera's frames renumbered from their time stamps; dropped frames leave gaps.
-
     `numbered` maps the previous frame numbers to the frames, and `times` (n,) are their time stamps, s, in
     the order of these numbers. A frame at the time `start`, s, gets number 0. `path` (file of the time
     stamps) and `camera` are named in messages. ExperimentError if there is not one time stamp per frame, or
-    if the time stamps do not fit `frame_rate`, Hz.
-    """
+    if the time stamps do not fit `frame_rate`, Hz."""
     if len(times) != len(numbered):
         raise ExperimentError(
             f"{path} holds {len(times)} times, but {camera} has {len(numbered)} images; every image needs one"
@@ -155,12 +147,10 @@ def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
 
 def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
     """Return the delay of each frame relative to even times, (n,), in frame intervals.
-
     `series` are the frames by camera. The delay is the mean over the cameras' clocks, after the offset and
     the rate of each clock are removed. The cameras are triggered together, so differences between their
     clocks are noise of the time stamps; the mean is scaled down by the estimated share of this noise. Returns
-    None if the times are even or if no camera has usable times.
-    """
+    None if the times are even or if no camera has usable times."""
     each = [
         found
         for one in series.values()
@@ -226,10 +216,8 @@ class Stated(NamedTuple):
 
 def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[str, Stated]:
     """Return the properties of each camera's first recording, by the camera's name.
-
     Cameras without readable recordings are left out. `cameras` is the block ``cameras`` of the experiment
-    file as plain data, `folder` the folder of the images.
-    """
+    file as plain data, `folder` the folder of the images."""
     found = {}
     for name, camera in cameras.items():
         images = camera.get("images") if isinstance(camera, Mapping) else camera
@@ -252,10 +240,8 @@ def is_video(path: Path) -> bool:
 
 def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
     """Return the paths of a camera's recordings, in order; empty if one of its files is not a recording.
-
     `images` is the camera's entry in the experiment file, `folder` the folder of the images. Only the names
-    are looked at; the files need not exist.
-    """
+    are looked at; the files need not exist."""
     names = images if isinstance(images, list) else [images]
     paths = [folder / name.replace("{camera}", camera) for name in names if isinstance(name, str)]
     return paths if len(paths) == len(names) and all(map(recording_path, paths)) else []
@@ -263,10 +249,8 @@ def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
     """Return the frame rate, Hz, that the recordings of all cameras share; None if `rates` is empty.
-
     `rates` maps camera names to the frame rates of the recordings. ExperimentError if a rate differs from the
-    first one by more than 1 %. `path` is the experiment file, named in the message.
-    """
+    first one by more than 1 %. `path` is the experiment file, named in the message."""
     if not rates:
         return None
     first = next(iter(rates))

@@ -79,10 +79,8 @@ class ExperimentBackend(BackendEntrypoint):
         group: str | None = None,
     ) -> xr.Dataset:
         """Open a cube, smoothed fields, or the images of one camera of an experiment file (``group="cam1"``).
-
         ValueError if an experiment file is opened without the name of one of its cameras. StoreError if a
-        store is damaged, or is neither a cube nor smoothed fields.
-        """
+        store is damaged, or is neither a cube nor smoothed fields."""
         path = Path(str(filename_or_obj).removeprefix("file://"))
         if path.is_file():
             cameras = self.open_datatree(path)
@@ -98,10 +96,8 @@ class ExperimentBackend(BackendEntrypoint):
 
     def open_datatree(self, filename_or_obj: object, **_: Any) -> xr.DataTree:
         """Open all cameras of an experiment file as a tree, each with ``image(time, row, column)``.
-
         The groups are ``/cam1``, ``/cam2``, ...; times are in the root. ExperimentError if the file or images
-        are wrong; warns if the experiment has masks, which are not applied.
-        """
+        are wrong; warns if the experiment has masks, which are not applied."""
         experiment = Experiment.load(str(filename_or_obj))
         series = experiment.open_frames()
         if experiment.mask:
@@ -128,10 +124,8 @@ def _cube(path: Path) -> xr.Dataset:
 
 def _smoothed(path: Path) -> xr.Dataset:
     """Return the fields that `wavefield smooth` wrote to `path`, as a lazy Dataset.
-
     StoreError if it is another kind of store, or if a file in it was lost or changed; Zarr alone would return
-    missing values for a lost file.
-    """
+    missing values for a lost file."""
     mark = read_mark(path)
     if mark is None or mark.kind != "smoothed fields":
         what = "is not as it was written: make it again" if mark is None else f"is a {mark.kind}"
@@ -142,10 +136,8 @@ def _smoothed(path: Path) -> xr.Dataset:
 
 def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
     """Return a Dataset of one camera: ``image`` (time, row, column) and ``present`` (time).
-
     `departures` are the delays of the frames, (n,), in frame intervals; they become the coordinate
-    ``departure``. Without departures the coordinate is left out.
-    """
+    ``departure``. Without departures the coordinate is left out."""
     array = FrameArray(series)
     image = xr.Variable(
         ("time", "row", "column"),

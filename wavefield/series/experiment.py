@@ -344,9 +344,7 @@ class Experiment(RecordSection):
     @property
     def measuring_cameras(self) -> list[str]:
         """Names of the cameras that the measurement uses, in the order of the file.
-
-        They are those in ``surface`` and ``velocity``; all cameras if the file has neither.
-        """
+        They are those in ``surface`` and ``velocity``; all cameras if the file has neither."""
         if self.surface is None and self.velocity is None:
             return list(self.cameras)
         used = {name for pair in (self.surface.pairs if self.surface else ()) for name in pair}
@@ -356,10 +354,8 @@ class Experiment(RecordSection):
 
 def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries) -> None:
     """Raise RigError if a rig was made for images of another size than those of one camera.
-
     `source` names the rig in messages, `size` is the (width, height) in px that the rig states, and `series`
-    are the frames of the camera. The message says so if the axes of the images are in another order.
-    """
+    are the frames of the camera. The message says so if the axes of the images are in another order."""
     rows, columns = series.shape
     if size == (columns, rows):
         return
@@ -378,9 +374,7 @@ def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries
 
 def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
     """Raise RigError if two of the named cameras are at the same position.
-
-    `source` names the rig in messages. A rig that has only lens parameters is not checked.
-    """
+    `source` names the rig in messages. A rig that has only lens parameters is not checked."""
     if rig.lenses_alone:
         return
     for k, one in enumerate(names):
@@ -392,10 +386,8 @@ def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
 
 def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, float] | None:
     """Return the elevations, m, at which an automatic grid has to stay in the cameras' view.
-
     The setting `z_range` gives a pair (low, high). The setting `sheet_thickness` gives a number h, half the
-    thickness, for elevations from -h to h. Returns None if neither is set.
-    """
+    thickness, for elevations from -h to h. Returns None if neither is set."""
     try:
         if settings.get("z_range"):
             low, high = settings["z_range"]

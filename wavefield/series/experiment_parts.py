@@ -158,9 +158,7 @@ class WaterSection(ConfigSection):
 
     def attributes(self) -> dict[str, float]:
         """Return the attributes of cubes and frames about the water; values that are not given are left out.
-
-        They are ``water_depth``, m, and ``surface_tension_over_density``, m3 s-2.
-        """
+        They are ``water_depth``, m, and ``surface_tension_over_density``, m3 s-2."""
         out = {} if self.depth is None else {"water_depth": self.depth}
         if self.surface_tension is not None or self.density is not None:
             out["surface_tension_over_density"] = tension_over_density(self.surface_tension, self.density)

@@ -33,9 +33,7 @@ class CameraMask:
 @lru_cache(maxsize=16)
 def _covered(mask: CameraMask) -> NDArray[np.bool_]:
     """Return a mask (row, column), read-only, true at masked pixels; the last 16 masks are kept in memory.
-
-    FrameError if a mask image cannot be read or has another size than the camera's images.
-    """
+    FrameError if a mask image cannot be read or has another size than the camera's images."""
     drawn = np.zeros(mask.shape, np.uint8)
     for outline in mask.outlines:
         cv2.fillPoly(drawn, [np.rint(outline).astype(np.int32)], 1)
@@ -147,9 +145,7 @@ class FrameSeries:
 
     def covered(self, index: int) -> NDArray[np.bool_] | None:
         """Return a mask (row, column), true at masked pixels; None if the camera has no mask.
-
-        The mask is the same at every `index`. FrameError if a mask image is bad.
-        """
+        The mask is the same at every `index`. FrameError if a mask image is bad."""
         return None if self.mask is None else self.mask.covered()
 
     def read_uncovered(self, index: int) -> np.ndarray | None:
@@ -167,11 +163,9 @@ class FrameSeries:
 
 def is_interlaced(series: FrameSeries) -> bool:
     """Whether odd and even rows of a camera's images were recorded at two moments, by up to five frames.
-
     D1, D2 and D4 are the root mean square differences between rows 1, 2 and 4 apart. In an image of one
     moment D1 D4 / D2^2 is at most 1 (0.73 for beads, 1 for noise). In interlaced images of moving beads it is
-    about 1.1. A colour mosaic has such a ratio along the columns as well; it is not taken for interlaced.
-    """
+    about 1.1. A colour mosaic has such a ratio along the columns as well; it is not taken for interlaced."""
     found = []
     for index in np.unique(np.linspace(0, len(series) - 1, INTERLACED_SAMPLES).astype(int)):
         image = series.read(int(index)).image
@@ -197,9 +191,7 @@ def subtracted(image: NDArray[Any], background: NDArray[Any]) -> NDArray[Any]:
 
 def check_content(image: np.ndarray, place: str) -> Frame:
     """Return an image as a `Frame`, with a fault if it is blank or has pixels that are not finite.
-
-    `place` is the text that names the frame in the message.
-    """
+    `place` is the text that names the frame in the message."""
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())
         return Frame(None, FrameFault.UNREADABLE, f"{place} has {bad} pixels that are not finite numbers")

@@ -29,10 +29,8 @@ FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
     """Return the frames of a camera by frame number.
-
     `images` is the camera's entry in the experiment file, `folder` the folder of the images. ExperimentError
-    if images are missing or cannot be numbered.
-    """
+    if images are missing or cannot be numbered."""
     if not isinstance(images, str):
         return _from_list(images, folder, camera)
     name = images.replace("{camera}", camera)
@@ -58,10 +56,8 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
 
 def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
     """Return the kind ("file" or "images") and the number of images of a file or store.
-
     ExperimentError, which names the camera, if the file is missing or damaged or states over five million
-    images.
-    """
+    images."""
     try:
         kind, count = count_images(path)
     except FrameError as error:
@@ -76,10 +72,8 @@ def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
 
 def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbered:
     """Return the frames of a list of files by frame number; the images are numbered on from 0.
-
     An entry None or a file that does not exist leaves one number without a frame. ExperimentError if none of
-    the files exists, or if one is damaged.
-    """
+    the files exists, or if one is damaged."""
     out: Numbered = {}
     number = 0
     for item in images:
@@ -113,10 +107,8 @@ def list_folder(folder: Path, camera: str) -> list[str]:
 
 def _names(path: Path, camera: str) -> dict[int, str]:
     """Return the names of the files that match a pattern, by frame number.
-
     `path` is a folder with the pattern as its last part, such as ``cam1/img_{frame}.tif``. ExperimentError if
-    no file matches or the pattern is wrong.
-    """
+    no file matches or the pattern is wrong."""
     folder, pattern = path.parent, path.name
     if re.search(r"[*?]|\{frame", str(folder)):
         raise ExperimentError(
@@ -135,10 +127,8 @@ def _names(path: Path, camera: str) -> dict[int, str]:
 
 def _numbers_by_mark(names: Sequence[str], pattern: str, camera: str) -> dict[int, str]:
     """Return the file names that match a pattern such as ``run-*-{frame}.tif``, by frame number.
-
     `names` are all names in the folder; names that do not match are left out. ExperimentError if two files
-    have the same number, or if a wildcard is next to ``{frame}``.
-    """
+    have the same number, or if a wildcard is next to ``{frame}``."""
     parts = re.split(r"(\*|\?|\{frame[^}]*\})", pattern)
     if re.search(r"[*?]\{frame|\{frame[^}]*\}[*?]", pattern):
         raise ExperimentError(
@@ -164,11 +154,9 @@ def make_series(
     numbered: Mapping[str, Numbered], first: int, last: int, clocks: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, FrameSeries]:
     """Return one series per camera, over the frame numbers `first` to `last`, both included.
-
     `numbered` has the frames of each camera by number. `clocks` has the times, s, of all frames of a camera,
     in order; cameras without times are absent. One frame of each camera is read, for shape and type.
-    ExperimentError if no frame of a camera can be read.
-    """
+    ExperimentError if no frame of a camera can be read."""
     out = {}
     for camera, frames in numbered.items():
         entries = [frames.get(number) for number in range(first, last + 1)]
@@ -190,10 +178,8 @@ def _file_size(entry: FrameEntry) -> int:
 
 def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tuple[int, int], str]:
     """Return the shape (rows, columns) and the type of a camera's frames, as found by reading one frame.
-
     It is the frame of median file size among five of the record, or else the first of them that can be read.
-    ExperimentError if none of the five can be read.
-    """
+    ExperimentError if none of the five can be read."""
     present = [entry for entry in entries if entry is not None]
     # a single frame may have another size: start with the median size of five
     five = [present[k] for k in from_first_to_last(len(present), 5)] if present else []

@@ -49,10 +49,8 @@ class MaskSection(ConfigSection):
 
 def normalized(masks: object, cameras: Collection[str]) -> object:
     """Return the block ``mask`` of an experiment file as plain data: a list of mappings for each key.
-
     A single entry becomes a list of one, and a file name becomes ``{"image": name}``. ValueError if a key is
-    neither one of `cameras` nor ``water``.
-    """
+    neither one of `cameras` nor ``water``."""
     if not isinstance(masks, Mapping):
         return masks
     out: dict[str, list[object]] = {}
@@ -82,11 +80,9 @@ def covered_series(
     folder: Path,
 ) -> dict[str, FrameSeries]:
     """Return the frames of each camera with the camera's own masks and the masks on the water.
-
     `masks` is the block ``mask`` of the experiment file, `folder` the folder of its mask images. The `rig`
     projects masks on the water into the images. ExperimentError if a mask image is missing or of another
-    size, if a polygon is outside the image, or if the masks cover a whole image.
-    """
+    size, if a polygon is outside the image, or if the masks cover a whole image."""
     out = {}
     for name, frames in series.items():
         own, on_water = masks.get(name, ()), masks.get(WATER, ())
@@ -128,9 +124,7 @@ def _file(name: str, path: Path) -> FrameEntry:
 
 def _in_image(name: str, polygon: Sequence[tuple[float, float]], size: tuple[int, int]) -> Outline:
     """Return the polygon, (column, row) in px, of the mask of a camera (`name`) as an outline.
-
-    ExperimentError if it is outside an image of `size` (rows, columns).
-    """
+    ExperimentError if it is outside an image of `size` (rows, columns)."""
     (left, top), (right, bottom) = np.min(polygon, axis=0), np.max(polygon, axis=0)
     if right < 0 or bottom < 0 or left > size[1] - 1 or top > size[0] - 1:
         raise ExperimentError(
@@ -142,9 +136,7 @@ def _in_image(name: str, polygon: Sequence[tuple[float, float]], size: tuple[int
 
 def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
     """Return the outline of a mask on the water, as (column, row) in px of a camera's image.
-
-    The water is taken at z = 0. The outline is empty if the mask is out of the camera's view.
-    """
+    The water is taken at z = 0. The outline is empty if the mask is out of the camera's view."""
     p = np.array(shape.polygon)
     t = np.arange(POINTS_PER_SIDE)[:, None] / POINTS_PER_SIDE
     edge = np.concatenate([a + t * (b - a) for a, b in zip(p, np.roll(p, -1, axis=0))])
@@ -160,10 +152,8 @@ def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
 
 def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, list[dict[str, object]]]:
     """Return masks as plain data for the recipe of a cube, by camera or ``water``.
-
     Each mask image has a checksum of its file as the entry ``content``. `folder` is the folder of mask
-    images.
-    """
+    images."""
     out: dict[str, list[dict[str, object]]] = {}
     for name, shapes in masks.items():
         out[name] = [shape.model_dump(exclude_none=True, mode="json") for shape in shapes]

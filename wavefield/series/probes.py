@@ -99,9 +99,7 @@ def read_probes(
 
 def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
     """Return (number from 1, text) of each line of a UTF-8 file that is neither blank nor a comment (#).
-
-    ExperimentError if the file cannot be read; `what` is its name in messages.
-    """
+    ExperimentError if the file cannot be read; `what` is its name in messages."""
     try:
         refuse_pipe(path, ExperimentError)
         data = path.read_bytes()
@@ -122,10 +120,8 @@ def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
 
 def _names(path: Path, number: int, line: str) -> list[str]:
     """Return the names in the header of a probe file, `line`; the first is ``time``.
-
     `number` is the number of this line. ExperimentError if the header is not ``time,NAME,...``, or if a name
-    is repeated or contains brackets.
-    """
+    is repeated or contains brackets."""
     names = [name.strip().strip('"') for name in line.split(",")]
     form = "the first line must be `time,NAME,NAME,...`"
     if len(names) < 2 or names[0] != "time":
@@ -143,10 +139,8 @@ def _names(path: Path, number: int, line: str) -> list[str]:
 
 def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArray[np.float64]:
     """Return the numbers in `lines`, (number of the line, text), as an array (line, column).
-
     Empty cells are NaN; `names` are the names of the columns. ExperimentError for a cell that is not a
-    number, or a line with another number of cells.
-    """
+    number, or a line with another number of cells."""
     table = np.empty((len(lines), len(names)))
     for row, (number, line) in zip(table, lines):
         cells = line.split(",")
@@ -170,9 +164,7 @@ def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArra
 
 def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> None:
     """Raise ExperimentError if times, s, do not increase or if their median interval exceeds 2 s.
-
-    `numbers` are the numbers of the lines of the file that contain the times.
-    """
+    `numbers` are the numbers of the lines of the file that contain the times."""
     steps = np.diff(times)
     if not (steps > 0).all():
         later = int(np.argmin(steps > 0)) + 1

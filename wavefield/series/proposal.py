@@ -60,9 +60,7 @@ def files_below(folder: Path) -> Iterator[Path]:
 
 def image_paths(folder: Path) -> list[str]:
     """Return the sorted paths, relative to a folder, of all images below it.
-
-    ExperimentError if it is not a folder.
-    """
+    ExperimentError if it is not a folder."""
     if not folder.is_dir():
         raise ExperimentError(f"{folder} is not a folder; name the one that contains the images")
     return sorted(
@@ -74,11 +72,9 @@ def image_paths(folder: Path) -> list[str]:
 
 def find_series(paths: Sequence[str]) -> list[NumberedImages]:
     """Return the series of numbered images among `paths`, sorted by the patterns of their names.
-
     Names that differ only in digits are compared. The frame number is the group of digits that has the most
     different values. If no two names share a frame number, other groups that vary (such as a time) become
-    ``*`` in the pattern. Otherwise each combination of the other groups is a series of its own.
-    """
+    ``*`` in the pattern. Otherwise each combination of the other groups is a series of its own."""
     alike: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for path in paths:
         folder, _, name = path.rpartition("/")
@@ -104,10 +100,8 @@ def find_series(paths: Sequence[str]) -> list[NumberedImages]:
 
 def camera_names(patterns: Sequence[str]) -> list[str]:
     """Return a camera name for each pattern, in order.
-
     The names are those of the folders that contain the images, if these are distinct words; otherwise cam1,
-    cam2, ...
-    """
+    cam2, ..."""
     folders = [pattern.rpartition("/")[0].rpartition("/")[2] for pattern in patterns]
     words = {folder for folder in folders if re.fullmatch("[A-Za-z][A-Za-z0-9_]+", folder)}
     return folders if len(words) == len(patterns) else [f"cam{k}" for k in range(1, len(patterns) + 1)]

@@ -53,9 +53,7 @@ def read_entry(entry: FrameEntry) -> np.ndarray:
 
 def count_images(name: str | Path) -> tuple[Kind, int]:
     """Return ("file", 1) for a file of one image, else ("images", number of images in the file or store).
-
-    FrameError if it is missing or damaged.
-    """
+    FrameError if it is missing or damaged."""
     refuse_pipe(name, FrameError)
     path = Path(name)
     single = recording_path(path) is None and path.suffix.lower() not in (*TIFF_ENDINGS, ".zarr")
@@ -91,10 +89,8 @@ def close_files() -> None:
 
 def _kept_open(path: str) -> _Images:
     """Return the open file of a path, and keep it open for later calls.
-
     If more than eight files are open, the least recently used one is closed. FrameError if the file is
-    missing or damaged.
-    """
+    missing or damaged."""
     try:
         key = path, os.stat(path).st_mtime_ns  # a file that was copied again is opened again
     except OSError:

@@ -13,10 +13,8 @@ from wavefield.series.experiment import Experiment
 
 def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
     """Return the paths of the target images, by camera and by pose.
-
     A pose is named by the part of the file name that varies; the pose on z = 0 is called ``flat``.
-    CalibrationError if the experiment has no calibration block, or if a camera has no target image.
-    """
+    CalibrationError if the experiment has no calibration block, or if a camera has no target image."""
     section = experiment.calibration
     if section is None and experiment.rig is not None:
         raise CalibrationError(
@@ -53,10 +51,8 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
 
 def _without_cameras(views: dict[str, dict[str, Path]]) -> dict[str, dict[str, Path]]:
     """Return `views` (path by camera and pose), with the camera's name cut from the start of each pose.
-
     Images such as left/left1.jpg repeat the camera's name. Poses stay as they are unless all begin with the
-    name and remain distinct without it.
-    """
+    name and remain distinct without it."""
     repeated = all(
         pose == "flat" or (pose.startswith(camera) and pose != camera and not camera.isdigit())
         for camera, poses in views.items()
@@ -80,9 +76,7 @@ def _no_images(experiment: Experiment, camera: str, patterns: Sequence[str]) -> 
 
 def _add_poses(poses: dict[str, Path], images: Iterable[tuple[str, Path]], experiment: Experiment) -> None:
     """Add `images`, pairs (pose, path) of one camera, to its `poses`.
-
-    CalibrationError if two files have the same pose.
-    """
+    CalibrationError if two files have the same pose."""
     for pose, path in images:
         other = poses.setdefault(pose, path)
         if other != path:
@@ -94,10 +88,8 @@ def _add_poses(poses: dict[str, Path], images: Iterable[tuple[str, Path]], exper
 
 def _images(experiment: Experiment, pattern: str, camera: str) -> Iterator[tuple[str, Path]]:
     """Yield the pose and the path of each image of a camera that matches a pattern.
-
     The pose is the text that the wildcards match, with the text around them, so it is the same in all
-    cameras. A leading minus sign is kept, because a target may be moved from -3 mm to 3 mm.
-    """
+    cameras. A leading minus sign is kept, because a target may be moved from -3 mm to 3 mm."""
     folder = experiment.image_folder
     named = pattern.replace("{camera}", glob.escape(camera))
     one_each = re.sub(r"\[.[^]]*\]", "?", pattern)  # a set such as [0-9] matches one character

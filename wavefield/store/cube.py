@@ -129,9 +129,7 @@ class _NamedArray(BackendArray):
 
 def named_variable(path: Path, variable: xr.Variable) -> xr.Variable:
     """Return a lazy variable with the same values; a failure to read them raises StoreError.
-
-    `path` is the array in the store, which the error names.
-    """
+    `path` is the array in the store, which the error names."""
     data = indexing.LazilyIndexedArray(_NamedArray(path, variable))
     return xr.Variable(variable.dims, data, variable.attrs, variable.encoding)
 

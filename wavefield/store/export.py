@@ -130,18 +130,14 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
 
 def _product(kind: str, cube: "xr.Dataset") -> Product | None:
     """Return the kind and source with which a NetCDF export is marked, so that it may be replaced later.
-
-    None for the other formats, which have no mark and are never replaced.
-    """
+    None for the other formats, which have no mark and are never replaced."""
     return Product("netcdf export", source_of(cube)) if kind == "netcdf" else None
 
 
 def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
     """Write a cube, or averages of a cube, as a NetCDF-4 file with CF attributes.
-
     Attributes and encodings of `cube` are changed. StoreError if the file cannot be written, or if another
-    file that is not an export of the same cube is at `path`.
-    """
+    file that is not an export of the same cube is at `path`."""
     product = _product("netcdf", cube)
     cube.attrs = {
         name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()
@@ -162,9 +158,7 @@ def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
 
 def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
     """Write a cube as a MAT-file: fields (y, x, time), structs `units` and `long_name`, text attributes.
-
-    StoreError if a variable has 2 GB or more, or if the file cannot be written.
-    """
+    StoreError if a variable has 2 GB or more, or if the file cannot be written."""
     from scipy.io import savemat
 
     numbers = {name: one for name, one in cube.variables.items() if one.dtype.kind not in "UOTM"}
@@ -188,10 +182,8 @@ def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
 
 def _write_uvmat(cube: "xr.Dataset", path: Path) -> None:
     """Write a folder with one NetCDF 3 file per step for UVMAT, in metres, with y upwards.
-
     The names are those of UVMAT's `struct2nc`. ``FF``, UVMAT's flag of false vectors, is 0 where the node was
-    measured, else the bits of ``quality``.
-    """
+    measured, else the bits of ``quality``."""
     names = {name: theirs for name, (theirs, _) in _UVMAT_ROLES.items() if name in cube}
     out = cube[[*names, "quality"]].reset_coords(drop=True)
     measured = (out.quality & int(Quality.MEASURED)) != 0

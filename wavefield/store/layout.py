@@ -82,11 +82,9 @@ def create_store(
     once: Mapping[str, np.ndarray | np.floating] | None = None,
 ) -> None:
     """Make an empty cube at `path`, complete or not at all; StoreError if something is already there.
-
     `x` (nx,) and `y` (ny,) are the positions of the cube's nodes, m. `layout` has the numbers of steps,
     chunks and cameras. `attributes` are added to those made from the recipe. `once` has variables that are
-    known before the run, such as ``gain_z``, by name.
-    """
+    known before the run, such as ``gain_z``, by name."""
     with atomic(path) as draft, zarr.config.set(FILES_OF_ALL_CHUNKS):
         group = _lay_out(draft, recipe, x, y, layout, attributes)
         for name, values in (once or {}).items():
@@ -106,9 +104,7 @@ def _lay_out(
     attributes: Mapping[str, Any],
 ) -> zarr.Group:
     """Make the group of a cube and its arrays, of which only the axes have values; return the group.
-
-    The arguments are as for `create_store`.
-    """
+    The arguments are as for `create_store`."""
     n, steps = layout.steps, layout.chunk_steps
     group = zarr.open_group(
         path,
@@ -168,10 +164,8 @@ def add_array(
     group: zarr.Group, row: Variable, values: np.ndarray | np.generic | None = None, **options: Any
 ) -> None:
     """Create the array of a variable in a group: filled with `values`, or empty.
-
     `row` gives name, type, dimensions and attributes; `options` of `zarr.Group.create_array` replace them. An
-    array with values has a single chunk. An empty array needs ``shape`` in the options.
-    """
+    array with values has a single chunk. An empty array needs ``shape`` in the options."""
     how: dict[str, Any] = {
         "name": row.name,
         "dtype": row.dtype,
@@ -205,9 +199,7 @@ _CHUNK_FILES = {"frame_fault": "c/0/{}", "frame_status": "c/{}"}  # fields have 
 @contextmanager
 def named_damage(array: Path) -> Iterator[None]:
     """Context manager: replace an error while reading damaged bytes by a StoreError.
-
-    The message names `array`, the path of the array in the store.
-    """
+    The message names `array`, the path of the array in the store."""
     try:
         yield
     except StoreError:
@@ -221,7 +213,5 @@ def named_damage(array: Path) -> Iterator[None]:
 
 def chunk_path(path: Path, name: str, number: int) -> Path:
     """Return the file of one chunk of the array `name` in the store at `path`.
-
-    `number` is the index of the chunk of steps, from 0.
-    """
+    `number` is the index of the chunk of steps, from 0."""
     return path / name / _CHUNK_FILES.get(name, "c/{}/0/0").format(number)

@@ -189,9 +189,7 @@ def status(store: str | Path) -> Status:
 
 def unfinished_note(store: str | Path) -> str:
     """Return a warning, as text, if steps of a cube are not measured yet or have failed.
-
-    The text is empty if all steps are measured. StoreError if `store` is not a cube.
-    """
+    The text is empty if all steps are measured. StoreError if `store` is not a cube."""
     found = status(store)
     if found.complete and not found.failed:
         return ""

@@ -16,9 +16,7 @@ FINISHED = "finished"  # attribute: true once the run has ended
 
 def read_metadata(path: Path) -> dict[str, Any]:
     """Return the content of a cube's ``zarr.json``.
-
-    StoreError if the file is missing, damaged, changed since wavefield wrote it, or not that of a cube.
-    """
+    StoreError if the file is missing, damaged, changed since wavefield wrote it, or not that of a cube."""
     file = path / "zarr.json"
     if not path.exists():
         raise StoreError(f"{path}: no such store; make one with `wavefield run`")
@@ -45,9 +43,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
 
 def update_metadata(path: Path, attributes: Mapping[str, object]) -> None:
     """Set attributes of the cube at `path`; an attribute with the value None is removed.
-
-    StoreError if the cube's metadata are damaged or cannot be written.
-    """
+    StoreError if the cube's metadata are damaged or cannot be written."""
     data = read_metadata(path)
     merged = {**data["attributes"], **attributes}
     data["attributes"] = {name: value for name, value in merged.items() if value is not None}

@@ -41,9 +41,7 @@ class Thinning:
 
 def thinning(group: CubeGroup) -> Thinning:
     """Return which nodes and variables the preview of an open cube contains.
-
-    The preview has some 2000 nodes at most, and fewer if the record has over 16 000 steps.
-    """
+    The preview has some 2000 nodes at most, and fewer if the record has over 16 000 steps."""
     names = tuple(name for name in CUBE_FIELDS if name in group)
     steps, ny, nx = group[names[0]].shape
     most = min(_NODES, max(1, _VALUES // max(steps, 1)))
@@ -53,9 +51,7 @@ def thinning(group: CubeGroup) -> Thinning:
 
 def create_preview(group: CubeGroup) -> None:
     """Make an empty preview (a thinned copy for plots) in an open cube, in place of an old preview.
-
-    StoreError if it cannot be written.
-    """
+    StoreError if it cannot be written."""
     layout, thin, path = read_layout(group), thinning(group), group.store_path.store.root / _GROUP
     shape = _shape(group, thin)
     with writing(path):
@@ -85,9 +81,8 @@ def _attributes(thin: Thinning) -> dict[str, Any]:
 
 def _open(group: CubeGroup, thin: Thinning, mode: Literal["r", "r+"]) -> Any:
     """Return the array ``fields`` of a cube's preview, (variable, y, x, time).
-
-    None if the preview is absent or damaged, or if its shape, variables or spacing are not those of `thin`.
-    """
+    None if the preview is absent or damaged, or if its shape, variables or spacing are not those of
+    `thin`."""
     with suppress(Exception):  # absent or damaged: the cube has it all
         root = group.store_path.store.root
         preview: Any = zarr.open_group(root / _GROUP, mode=mode, use_consolidated=False)
@@ -104,9 +99,7 @@ def _chunk(group: CubeGroup, start: int) -> Path:
 
 def _thinned(fields: Mapping[str, NDArray[Any]], every: int, scales: Iterable[float]) -> NDArray[np.int16]:
     """Return fields (n, ny, nx) at every `every`-th node along x and y: int16, (variable, y, x, n).
-
-    The values are divided by `scales`, one for each field. Missing values are `MISSING`.
-    """
+    The values are divided by `scales`, one for each field. Missing values are `MISSING`."""
     nodes = [values[:, ::every, ::every].astype(np.float32) for values in fields.values()]
     out = [in_16_bits(values, scale) for values, scale in zip(nodes, scales)]
     return np.ascontiguousarray(np.moveaxis(np.array(out), 1, -1))
@@ -114,9 +107,7 @@ def _thinned(fields: Mapping[str, NDArray[Any]], every: int, scales: Iterable[fl
 
 def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
     """Write the fields (n, ny, nx) of one chunk, by name, into the preview of an open cube.
-
-    The chunk begins with step `start`. If the cube has no preview, do nothing.
-    """
+    The chunk begins with step `start`. If the cube has no preview, do nothing."""
     thin = thinning(group)
     preview = _open(group, thin, "r+")
     if preview is not None:
@@ -128,10 +119,8 @@ def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any
 
 def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
     """Return the thinned fields of one chunk of steps: int16, (variable, y, x, n).
-
     The chunk is steps `start` to `stop` - 1. A value is the stored integer times the scale in `thin`. The
-    fields are read from the preview, or from the cube itself if the preview has no such chunk.
-    """
+    fields are read from the preview, or from the cube itself if the preview has no such chunk."""
     preview = _open(group, thin, "r")
     with suppress(Exception):  # as above
         if _chunk(group, start).is_file():
@@ -142,10 +131,8 @@ def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDA
 
 def read_steps(group: CubeGroup, name: str, start: int, stop: int) -> NDArray[Any]:
     """Return the steps `start` to `stop` - 1 of a variable of an open cube, (n, ny, nx).
-
     Values packed in 16 bits become float32, with NaN where nothing was measured; others are returned as
-    stored. StoreError if they are damaged.
-    """
+    stored. StoreError if they are damaged."""
     array = group[name]
     try:
         values = np.asarray(array[start:stop])

@@ -65,9 +65,7 @@ class Recipe:
     @property
     def hash(self) -> str:
         """Sixteen hexadecimal digits that identify the entries on which values of the cube depend.
-
-        The experiment's name, the learned `record` and the versions of the software are left out.
-        """
+        The experiment's name, the learned `record` and the versions of the software are left out."""
         values = {name: value for name, value in asdict(self).items() if name not in _LABELS}
         text = json.dumps(values, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -82,10 +80,8 @@ def _software() -> dict[str, str]:
 
 def differences(old: str, new: str) -> list[str]:
     """Return one line for each entry that differs between two recipes, given as JSON text.
-
     A line reads "grid.step: 0.01 there, 0.02 here"; `old` is called "there", `new` is called "here". The
-    experiment's name, the entries of `record` and the versions of software are not compared.
-    """
+    experiment's name, the entries of `record` and the versions of software are not compared."""
     a, b = dict(_leaves(json.loads(old))), dict(_leaves(json.loads(new)))
     keys = [key for key in {**a, **b} if key.partition(".")[0] not in _LABELS and a.get(key) != b.get(key)]
     return [f"{key}: {a.get(key)!r} there, {b.get(key)!r} here" for key in keys]
@@ -110,10 +106,8 @@ def _hash_of(recipe: str) -> str:
 
 def source_of(cube: Any) -> str:
     """Return the identity of a cube (Dataset or open group): a hash of its recipe and images.
-
     Outputs made from the cube carry it as `Product.source`. For a Dataset that no run wrote it is a hash of
-    its axes and its experiment's name.
-    """
+    its axes and its experiment's name."""
     if "recipe_hash" in cube.attrs:
         return identity_of(cube.attrs["recipe_hash"], cube.attrs.get("fingerprints"))
     axes = {name: cube[name].values.tolist() for name in ("time", "y", "x") if name in cube.coords}
@@ -122,9 +116,7 @@ def source_of(cube: Any) -> str:
 
 def state_of(cube: Any) -> str:
     """Return a hash of a cube (Dataset or open group) that changes as further steps are measured.
-
-    For a Dataset that no run wrote the result is that of `source_of`.
-    """
+    For a Dataset that no run wrote the result is that of `source_of`."""
     if "recipe_hash" not in cube.attrs or "frame_status" not in cube:
         return source_of(cube)
     ledger = np.asarray(cube["frame_status"][...], np.uint8).tobytes().hex()
@@ -133,9 +125,7 @@ def state_of(cube: Any) -> str:
 
 def check_recipe(path: Path, attributes: Mapping[str, Any], recipe: Recipe) -> None:
     """Raise StoreError if the cube at `path` was made with another recipe than `recipe`.
-
-    `attributes` are those of the cube. The message lists the first two differences.
-    """
+    `attributes` are those of the cube. The message lists the first two differences."""
     there = str(attributes["recipe"])
     if _hash_of(there) == recipe.hash:
         return

@@ -50,9 +50,7 @@ class Remark:
 @dataclass(frozen=True)
 class Verdict:
     """All remarks on a measurement.
-
-    ``line`` sums them up, for example as "sound with remarks: cam1 focus".
-    """
+    ``line`` sums them up, for example as "sound with remarks: cam1 focus"."""
 
     remarks: tuple[Remark, ...] = ()  # The gravest first
     # For each pair of cameras, its agreement and its eps_y (epipolar error) at each of `frames`
@@ -103,9 +101,7 @@ class Verdict:
 
     def save(self, store: Path) -> None:
         """Write the verdict next to the cube `store`, as ``verdict.json`` for ``cube.zarr``.
-
-        An earlier verdict is replaced. StoreError if another file has this name, or if writing fails.
-        """
+        An earlier verdict is replaced. StoreError if another file has this name, or if writing fails."""
         path = beside(store, "verdict", ".json")
         check_verdict(store)
         data = self.to_dict()
@@ -115,9 +111,7 @@ class Verdict:
 
 def read_verdict(store: str | Path) -> Verdict | None:
     """Return the verdict in the file next to a cube; None if there is no such file.
-
-    StoreError if the file is damaged or was changed since wavefield wrote it.
-    """
+    StoreError if the file is damaged or was changed since wavefield wrote it."""
     path = beside(Path(store), "verdict", ".json")
     try:
         refuse_pipe(path, StoreError)

@@ -133,10 +133,8 @@ def _damages(
     path: Path, group: CubeGroup, layout: StoreLayout, number: int, read: bool = True
 ) -> Iterator[Damage]:
     """Yield the damage of the chunk `number` of a cube; none if the run has not written the chunk.
-
     With `read` every variable of the chunk is read. Without it only ``frame_status`` is read, and for the
-    other variables the files must exist.
-    """
+    other variables the files must exist."""
     start, stop = layout.chunks()[number]
 
     def damage(name: str) -> Damage:
@@ -161,9 +159,7 @@ def _damages(
 
 def missing_chunks(path: Path, layout: StoreLayout) -> list[int]:
     """Return the first step of each chunk that has results but lacks a file.
-
-    Chunks whose ``frame_status`` is damaged are included.
-    """
+    Chunks whose ``frame_status`` is damaged are included."""
     group = open_group(path)
     numbered = enumerate(layout.chunks())
     return [

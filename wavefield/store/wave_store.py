@@ -18,11 +18,9 @@ KIND = "wave store"
 
 def write_waves(tree: xr.DataTree, path: str | Path, source: str = "", inputs: Iterable[object] = ()) -> None:
     """Write the groups of a wave analysis as a wave store at `path`, completely or not at all.
-
     `source` identifies the cube (`source_of`); an existing store is replaced only if it has the same source.
     `inputs` are files that the same command reads and must not overwrite. StoreError if the store cannot be
-    written, or if something else is at `path`.
-    """
+    written, or if something else is at `path`."""
     # Zarr 3 has strings of any length only
     tree = tree.map_over_datasets(
         lambda group: group.assign_coords(

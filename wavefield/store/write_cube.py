@@ -39,11 +39,9 @@ def write_chunk(
     faults: Mapping[str, Mapping[int, FrameFault]],
 ) -> None:
     """Write all results of one chunk into the cube at `path`; ``frame_status`` is written last.
-
     `start` is the first step of the chunk. `fields` has the variables `CUBE_FIELDS`, (n, ny, nx), in their
     units. `frame_status` (n,) has the `FrameStatus` of each step. `faults` has the bad frames of each camera,
-    by index in the record. ValueError if sizes or names are wrong, StoreError if the disk fails.
-    """
+    by index in the record. ValueError if sizes or names are wrong, StoreError if the disk fails."""
     group = open_group(path, "r+")
     layout = read_layout(group)
     stop = min(start + layout.chunk_steps, layout.steps)
@@ -79,11 +77,9 @@ def write_chunk(
 
 def clear_steps(path: Path, steps: Sequence[int]) -> None:
     """Mark measured steps as discontinuous, and clear their values: NaN, and 0 in ``quality``.
-
     `steps` are indices of steps. Steps that are not measured or have failed are left as they are. The status
     of all these steps is written before any value, so that the next run can finish the work after an
-    interruption.
-    """
+    interruption."""
     group = open_group(path, "r+")
     layout = read_layout(group)
     with writing(path), zarr.config.set(FILES_OF_ALL_CHUNKS):
@@ -111,10 +107,8 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
 
 def relabel(path: Path, name: str, description: Mapping[str, object]) -> list[str]:
     """Set the name and the descriptive attributes (`DESCRIPTION`) of a cube to those of an experiment.
-
     `name` is the experiment's name; attributes that `description` lacks are removed. Returns one line for
-    each change, "KEY: old there, new here".
-    """
+    each change, "KEY: old there, new here"."""
     labels = {"experiment": name, "title": title(name), **dict.fromkeys(DESCRIPTION), **description}
     there = open_group(path).attrs
     changed = [key for key, value in labels.items() if there.get(key) != value]
@@ -131,9 +125,7 @@ def _write_ledger(path: Path, group: CubeGroup, start: int, frame_status: np.nda
 
 def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
     """Wait until the files of a chunk, in the arrays `names`, and their folders are on the disk.
-
-    `chunk` is the index of the chunk.
-    """
+    `chunk` is the index of the chunk."""
     folders: dict[Path, None] = {}
     for name in names:
         file = chunk_path(path, name, chunk)
@@ -146,9 +138,7 @@ def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
 
 def reset_chunks(path: Path, starts: Sequence[int]) -> None:
     """Mark chunks of a cube as not started, so that the next run measures them again.
-
-    `starts` are the first steps of the chunks. The cube is marked as unfinished.
-    """
+    `starts` are the first steps of the chunks. The cube is marked as unfinished."""
     if not starts:
         return
     update_metadata(path, {FINISHED: None})

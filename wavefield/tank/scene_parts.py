@@ -41,9 +41,7 @@ class SceneRecord(Part):
 
     def time(self, frame: float) -> float:
         """Return the simulated time, s, of a frame counted from 0, without the clock's jitter.
-
-        The frame need not be an integer.
-        """
+        The frame need not be an integer."""
         return self.start + frame / self.frame_rate
 
 
@@ -393,11 +391,9 @@ class RandomSea(_SeaSettings):
 
     def build(self, seed: int) -> Sea:
         """Return a Gaussian sea of waves on a square lattice of wave vectors; `seed` draws their amplitudes.
-
         The complex amplitudes are Gaussian. Their mean square at the wavenumber k and the direction theta is
         proportional to S(f) (df/dk) D(theta) / k, with the frequency f, the frequency spectrum S and the
-        directional distribution D. They are scaled to the standard deviation `rms` of the elevation.
-        """
+        directional distribution D. They are scaled to the standard deviation `rms` of the elevation."""
         dk = 2 * np.pi / self.period
         n = int(self.period / self.shortest)
         lattice = np.arange(-n, n + 1) * dk

@@ -46,9 +46,7 @@ class BoundWaves:
 
     def at(self, time: float, current: tuple[float, float]) -> dict[str, Complex]:
         """Return the complex amplitudes, (m,), of z (m) and of z_t, u, v (m/s) at a time, s, by name.
-
-        `current` is the uniform velocity of the water, m/s.
-        """
+        `current` is the uniform velocity of the water, m/s."""
         turn = np.exp(-1j * self.frequency * time)
         drift = self.kx * current[0] + self.ky * current[1]
         carried = np.exp(-1j * drift * time)
@@ -70,10 +68,8 @@ def bound_waves(
     kx: Array, ky: Array, amplitude: Complex, sigma: Array, depth: float, surface_tension: float, number: int
 ) -> BoundWaves:
     """Return the second-order waves that the `number` steepest of n free waves force.
-
     kx, ky (rad/m), amplitude (m) and sigma (frequency relative to the water, rad/s) are (n,). `depth` is in
-    m, `surface_tension` is over density, m3 s-2.
-    """
+    m, `surface_tension` is over density, m3 s-2."""
     steep = np.argsort(-np.hypot(kx, ky) * np.abs(amplitude), kind="stable")[:number]
     kx, ky, a, s = kx[steep], ky[steep], amplitude[steep], sigma[steep]
     k = np.hypot(kx, ky)
@@ -178,27 +174,21 @@ class Sea:
     @property
     def axes(self) -> tuple[Array, Array]:
         """All wavenumbers that the waves of the sea have along x (nkx,) and along y (nky,), rad/m.
-
-        Those along x are not negative: a wave with kx < 0 is stored as its complex conjugate at -k.
-        """
+        Those along x are not negative: a wave with kx < 0 is stored as its complex conjugate at -k."""
         return self._layout.kx, self._layout.ky
 
     @property
     def shortest(self) -> float:
         """2 pi over the largest |kx| or |ky| of all waves, bound ones included, m.
-
-        It is infinite if the sea has no waves.
-        """
+        It is infinite if the sea has no waves."""
         top = max(self._layout.kx.max(initial=0.0), np.abs(self._layout.ky).max(initial=0.0))
         return 2 * np.pi / top if top > 0 else np.inf
 
     @property
     def reach(self) -> float:
         """Elevation that the sea hardly ever exceeds, m.
-
         It is 4.5 standard deviations of the free waves, or 1.1 times the sum of their amplitudes if that is
-        less.
-        """
+        less."""
         height = np.abs(self.amplitude)
         return float(min(np.sum(height) * 1.1, 4.5 * np.sqrt(0.5 * np.sum(height**2))))
 
@@ -212,9 +202,7 @@ class Sea:
 
     def _coefficients(self, time: float) -> dict[str, Complex]:
         """Return the complex amplitudes of all fields but w at a time, s, by name of the field.
-
-        Each is (nky, nkx), over the wavenumbers that `axes` returns.
-        """
+        Each is (nky, nkx), over the wavenumbers that `axes` returns."""
         turned = self.amplitude * np.exp(-1j * self.omega * time)
         velocity_over_elevation = self.sigma / (self.k * np.tanh(self.k * self.depth))
         waves = {
@@ -233,19 +221,16 @@ class Sea:
 
     def on_grid(self, x: Array, y: Array, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
         """Return exact fields (ny, nx) by name at a time, s, on axes x (nx,) and y (ny,), metres.
-
         z is in m, the slopes z_x, z_y are pure numbers, the others in m/s. Raises ValueError for an unknown
-        name.
-        """
+        name."""
         ex, ey = np.exp(1j * np.outer(self._layout.kx, x)), np.exp(1j * np.outer(y, self._layout.ky))
         return self._finish(self.sums(ex, ey, time, _needed(names)), names)
 
     def sums(self, ex: Complex, ey: Complex, time: float, names: Sequence[str]) -> dict[str, Array]:
         """Return the named fields, (ny, nx), at a time, s, as sums over all waves, without the current.
-
         `ex` (nkx, nx) is exp(i kx x) and `ey` (ny, nky) is exp(i ky y), for the wavenumbers of `axes`. Each
-        may be multiplied by any function of the wavenumber. `names` must not contain w, which is no such sum.
-        """
+        may be multiplied by any function of the wavenumber. `names` must not contain w, which is no such
+        sum."""
         along_x = np.concatenate([ex.real, -ex.imag])
         along_y = np.concatenate([ey.real, ey.imag], axis=1)
         coefficients = self._coefficients(time)
@@ -259,10 +244,8 @@ class Sea:
 
     def at(self, x: ArrayLike, y: ArrayLike, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
         """Return exact fields by name at a time, s, at scattered points x, y, metres, in their shape.
-
         The fields have the units of `on_grid`. For many points on axes `on_grid` is faster and needs less
-        memory.
-        """
+        memory."""
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         shape, x, y = x.shape, x.ravel(), y.ravel()
         coefficients = self._coefficients(time)
@@ -272,9 +255,7 @@ class Sea:
 
     def _finish(self, out: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
         """Add the current to the sums over waves `out`, and return the fields `names`.
-
-        If w is among them it is computed as z_t + u z_x + v z_y.
-        """
+        If w is among them it is computed as z_t + u z_x + v z_y."""
         for name, speed in zip(("u", "v"), self.current, strict=True):
             if name in out and speed:
                 out[name] = out[name] + speed
@@ -285,9 +266,7 @@ class Sea:
 
 def _needed(names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the fields to sum over waves so that `names` can be computed.
-
-    If w is in `names`, these are all fields but w. Raises ValueError if a name is unknown.
-    """
+    If w is in `names`, these are all fields but w. Raises ValueError if a name is unknown."""
     unknown = set(names) - set(FIELDS)
     if unknown:
         raise ValueError(f"the sea has no field {sorted(unknown)[0]!r}; it has {', '.join(FIELDS)}")
@@ -308,9 +287,7 @@ def _product(a: Array, b: Array) -> Array:
 
 class _WaveLayout:
     """Arranges waves in a matrix over (ky, kx) with kx >= 0, so that sums over waves are matrix products.
-
-    kx and ky, (n,), are the wave vectors, rad/m.
-    """
+    kx and ky, (n,), are the wave vectors, rad/m."""
 
     def __init__(self, kx: Array, ky: Array) -> None:
         self._mirror = kx < 0  # Re(C e^{ikx}) = Re(C* e^{-ikx})
@@ -324,9 +301,7 @@ class _WaveLayout:
 
     def place(self, values: Complex) -> Complex:
         """Return the complex amplitudes (n,) of the waves as a matrix (nky, nkx).
-
-        Waves with equal wave vectors are added.
-        """
+        Waves with equal wave vectors are added."""
         values = np.where(self._mirror, values.conj(), values)
         size = self.ky.size * self.kx.size
         real = np.bincount(self._flat, values.real, size)
@@ -360,10 +335,9 @@ def _waves(a: ArrayLike, b: ArrayLike) -> Complex:
 
 class Basin:
     """A rectangle of a sea, with limits x and y in metres, in which fields at any point are found fast.
-
     Fields are summed on a lattice and interpolated with a kernel. The sums divide each wave by the Fourier
-    transform of the kernel, which leaves errors of some 1e-7 of the elevation (a non-uniform FFT of type 2).
-    """
+    transform of the kernel, which leaves errors of some 1e-7 of the elevation (a non-uniform FFT of type
+    2)."""
 
     def __init__(self, sea: Sea, x: tuple[float, float], y: tuple[float, float]) -> None:
         self.sea, self.x, self.y = sea, x, y
@@ -382,9 +356,7 @@ class Basin:
 
     def snapshot(self, time: float, names: Sequence[str] = ("z",)) -> "Snapshot":
         """Return the fields `names` at a time, s, as a function of x and y.
-
-        Possible names: z, z_x, z_y, z_t, u, v. Compute w as z_t + u z_x + v z_y; it is not a sum of waves.
-        """
+        Possible names: z, z_x, z_y, z_t, u, v. Compute w as z_t + u z_x + v z_y; it is not a sum of waves."""
         return self._recent(round(time, 12), tuple(names))
 
     def _snapshot(self, time: float, names: tuple[str, ...]) -> "Snapshot":
@@ -402,10 +374,8 @@ class Snapshot:
 
     def __call__(self, x: Array, y: Array) -> Array:
         """Return the fields at points x, y, metres, of any shape, stacked as (fields, ...).
-
         They are in the order of the names given to `Basin.snapshot`, and are NaN outside the basin. z is in
-        m, the slopes are pure numbers, the others in m/s.
-        """
+        m, the slopes are pure numbers, the others in m/s."""
         out = np.empty((self._values.shape[0], x.size))
         _gather(x.ravel(), y.ravel(), self._values, *self._origin, self._step, out)
         return (out + self._offset[:, None]).reshape(-1, *x.shape)

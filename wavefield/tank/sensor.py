@@ -14,10 +14,8 @@ Image = NDArray[np.float32]
 @compiled(fastmath=True)
 def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
     """Add n Gaussian spots to an image (row, column), in place, each integrated exactly over every pixel.
-
     The spots are at columns X (n,) and rows Y (n,), px, with total intensities `flux` (n,) and standard
-    deviation `sigma`, px.
-    """
+    deviation `sigma`, px."""
     height, width = image.shape
     reach = math.ceil(4.5 * sigma) + 1
     size = 2 * reach + 1
@@ -42,10 +40,8 @@ def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
 
 def illumination(size: tuple[int, int], unevenness: float, seed: int) -> Image:
     """Return the relative illumination of the pixels of an image, (row, column), with a mean of about 1.
-
     It varies linearly in a random direction and decreases towards the edges. `size` is width and height in
-    px, `unevenness` the relative difference of light across the image.
-    """
+    px, `unevenness` the relative difference of light across the image."""
     angle = np.random.default_rng([seed, 3]).uniform(0, 2 * np.pi)
     x = np.linspace(-1, 1, size[0], dtype=np.float32)
     y = np.linspace(-1, 1, size[1], dtype=np.float32)[:, None]
@@ -57,10 +53,8 @@ def expose(
     light: Image, read: float, shot: float, bits: int, rng: np.random.Generator
 ) -> NDArray[np.unsignedinteger]:
     """Return the pixels that a camera stores, (row, column), as integers of 8 or 16 `bits`.
-
     `light` (row, column) is in grey levels of 255; noise is added and full scale clips. `read` is the rms of
-    the read noise, `shot` the variance of the shot noise per grey level, both in grey levels of 255.
-    """
+    the read noise, `shot` the variance of the shot noise per grey level, both in grey levels of 255."""
     value = light.astype(np.float64)
     if read or shot:
         noise = rng.standard_normal(light.shape, np.float32)

@@ -67,9 +67,7 @@ class Tank:
     @cached_property
     def population(self) -> Population | Particles:
         """The beads of the scene, or the particles of its light sheet.
-
-        Raises ValueError if the surface of the scene is painted or the open sea.
-        """
+        Raises ValueError if the surface of the scene is painted or the open sea."""
         if isinstance(self.scene.surface, Sheet):
             return Particles(self.scene, self.scene.surface, self.x, self.y, len(self.rig))
         return Population(self.scene, self.basin, self.x, self.y, len(self.rig))
@@ -85,10 +83,8 @@ class Tank:
 
     def spot_width(self, camera: Camera) -> float:
         """Return the standard deviation of a bead's image, px, before it is integrated over pixels.
-
         It combines the blur of the lens with the size of the bead; the variance of a disc is its radius
-        squared over 4.
-        """
+        squared over 4."""
         surface = self.scene.surface
         size = 0.0 if isinstance(surface, (Texture, SeaSurface)) else surface.diameter
         pixel = float(np.sqrt(np.prod(rigs.pixel_footprint(camera))))
@@ -96,26 +92,20 @@ class Tank:
 
     def render(self, frame: int, cameras: Iterable[str] | None = None) -> dict[str, GreyImage]:
         """Return the images (row, column) of a frame, counted from 0, by camera; by default of all cameras.
-
-        Ask for frames in rising order, because beads are followed from frame to frame.
-        """
+        Ask for frames in rising order, because beads are followed from frame to frame."""
         names = self.rig if cameras is None else cameras
         return {name: self.draw(name, frame, self.beads(name, frame)) for name in names}
 
     def beads(self, name: str, frame: int) -> BeadField | None:
         """Return the beads that the camera `name` sees in a frame; None if the surface has no beads.
-
-        If the scene makes the camera late by some frames, they are the beads of an earlier frame.
-        """
+        If the scene makes the camera late by some frames, they are the beads of an earlier frame."""
         if isinstance(self.scene.surface, (Texture, SeaSurface)):
             return None
         return self.population.frame(self._frame_taken(name, frame))
 
     def draw(self, name: str, frame: int, beads: BeadField | None) -> GreyImage:
         """Return the image (row, column) of the camera `name` at a frame, with the faults of the camera.
-
-        `beads` is the result of the method `beads`. Several threads may call `draw` at once.
-        """
+        `beads` is the result of the method `beads`. Several threads may call `draw` at once."""
         fault = self.scene.faults.get(name, _NO_FAULT)
         frame, source = self._frame_taken(name, frame), fault.shows or name
         if isinstance(self.scene.surface, SeaSurface):
@@ -156,9 +146,7 @@ class Tank:
 
     def _rolling(self, camera: Camera, beads: BeadField, frame: int, row_time: float) -> tuple[Array, Array]:
         """Return columns and rows of beads, (n,), px, in a camera with a rolling shutter.
-
-        Each row is read `row_time`, s, after the row above it; the middle row is read on time.
-        """
+        Each row is read `row_time`, s, after the row above it; the middle row is read on time."""
         middle = (camera.size[1] - 1) / 2
         time, half = self.frame_time(frame), row_time * middle
         moments = (self._delayed(beads, time, -half), beads, self._delayed(beads, time, half))
@@ -194,9 +182,7 @@ class Tank:
     @cached_property
     def _sea_paints(self) -> tuple[tuple[texture.Paint, ...], ...]:
         """Two textures of ripples, and two coarser ones of foam.
-
-        The two of a pair have grains of different sizes, and are added.
-        """
+        The two of a pair have grains of different sizes, and are added."""
         settings = self.scene.surface
         assert isinstance(settings, SeaSurface)
 
@@ -222,9 +208,7 @@ class Tank:
 
     def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
         """Return how far water moved from `frame` back to frame 0, along x and along y, m.
-
-        The two splines are functions of (y, x), the position of the water in `frame`, m.
-        """
+        The two splines are functions of (y, x), the position of the water in `frame`, m."""
         with self._drift_lock:  # other threads may be drawing other frames
             return self._drifts[frame]
 
@@ -246,9 +230,7 @@ class Tank:
     @cached_property
     def target_poses(self) -> dict[str, targets.Pose]:
         """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``.
-
-        The mapping is empty if the surface is the open sea.
-        """
+        The mapping is empty if the surface is the open sea."""
         settings, grid = self.scene.calibration, self.scene.grid
         if isinstance(self.scene.surface, SeaSurface):
             return {}  # there is no target at sea

@@ -27,9 +27,8 @@ class Pose:
 
 def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, float], seed: int) -> list[Pose]:
     """Return `number` random poses of a target, as if somebody held it in the field of view.
-
-    Each pose is tilted in another direction, by up to `tilt` degrees. x and y are the limits of the field, m.
-    """
+    Each pose is tilted in another direction, by up to `tilt` degrees. x and y are the limits of the field,
+    m."""
     rng = np.random.default_rng([seed, 8])
     size = min(x[1] - x[0], y[1] - y[0])
     out = []
@@ -56,9 +55,7 @@ def _rotation(axis: int, angle: float) -> Array:
 
 def move_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, cameras: Iterable[Camera]) -> Pose:
     """Return the pose of a board, moved towards the point `middle` until all cameras see all of the board.
-
-    `middle`, (3,), m, is the middle of the field. If no place is found, the pose is returned unchanged.
-    """
+    `middle`, (3,), m, is the middle of the field. If no place is found, the pose is returned unchanged."""
     # the corners of a chessboard can only be numbered if all of it is visible
     around = 1.5 if isinstance(board, Chessboard) else 0.5  # the outer squares and half a white one
     half = ((np.array(board.shape) - 1) / 2 + around) * board.mesh
@@ -84,10 +81,8 @@ _QUADRATURE = np.stack(
 
 def node_offsets(target: Strings, seed: int) -> Array:
     """Return random position errors along x, y and z, (n, n, 3), m, of the crossings of n by n strings.
-
     The crossing i meshes along x and j meshes along y from the origin has the index [j + half, i + half],
-    where half is `target.half`. The two marked crossings have no error.
-    """
+    where half is `target.half`. The two marked crossings have no error."""
     count = 2 * target.half + 1
     offsets = target.node_offset * np.random.default_rng([seed, 9]).standard_normal((count, count, 3))
     offsets[target.half, target.half : target.half + 2] = 0.0
@@ -98,10 +93,8 @@ def draw(
     camera: Camera, target: Strings | Chessboard | Dots, pose: Pose, blur: float, offsets: Array | None = None
 ) -> NDArray[np.float32]:
     """Return the light of a target on the pixels of a camera, (row, column), in grey levels of 255.
-
     Background, uneven light and noise are not included. `blur` is the standard deviation of a point's image,
-    px. `offsets` (n, n, 3), m, is the result of `node_offsets`.
-    """
+    px. `offsets` (n, n, 3), m, is the result of `node_offsets`."""
     # seen from a camera in the target's own axes, the target is the plane z = 0
     own = replace(camera, rotation=camera.R @ pose.rotation, translation=camera.R @ pose.origin + camera.T)
     width, height = camera.size
@@ -134,10 +127,8 @@ def _draw_strings(target: Strings, s: Array, t: Array, blur: float) -> NDArray[n
 
 def _undo_offsets(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple[Array, Array]:
     """Return which points of a perfect target appear at (x, y) when its crossings have position errors.
-
     x, y (any shape), the position errors `offsets` (n, n, 3) and both results are in units of the mesh.
-    `mesh` is in m. `own` is the camera in the axes of the target.
-    """
+    `mesh` is in m. `own` is the camera in the axes of the target."""
     half = offsets.shape[0] // 2
     lean_x, lean_y = own.sight_line(x * mesh, y * mesh)
     s, t = x, y
@@ -153,9 +144,7 @@ def _undo_offsets(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) 
 @compiled()
 def _step(d: float, blur: float) -> float:
     """Return the brightness, 0 to 1, of a point d px inside a straight blurred edge.
-
-    d is negative outside; `blur` is the standard deviation of the blur, px.
-    """
+    d is negative outside; `blur` is the standard deviation of the blur, px."""
     if d > 4.5 * blur:
         return 1.0
     if d < -4.5 * blur:
@@ -168,10 +157,8 @@ def _disc(
     ds: float, dt: float, radius: float, sx: float, sy: float, tx: float, ty: float, blur: float
 ) -> float:
     """Return the brightness, 0 to 1, of a blurred disc at the distance (ds, dt) from its centre.
-
     s and t are coordinates in the plane of the target, and `radius` has their unit. (sx, sy) and (tx, ty) are
-    the derivatives of s and t by column and row of the image. `blur` is a standard deviation, px.
-    """
+    the derivatives of s and t by column and row of the image. `blur` is a standard deviation, px."""
     r = math.hypot(ds, dt)
     if r < 1e-12:
         return 1.0
@@ -183,9 +170,7 @@ def _disc(
 @compiled()
 def _slopes(a: Array, i: int, j: int) -> tuple[float, float]:
     """Return the derivatives by column and by row of an array at row i and column j.
-
-    The array has a border of one pixel, which i and j do not count.
-    """
+    The array has a border of one pixel, which i and j do not count."""
     return 0.5 * (a[i + 1, j + 2] - a[i + 1, j]), 0.5 * (a[i + 2, j + 1] - a[i, j + 1])
 
 

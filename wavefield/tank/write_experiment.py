@@ -114,9 +114,7 @@ def _draw(
     report_progress: Callable[[], None],
 ) -> None:
     """Draw and write images on the threads of `pool`; call `report_progress` after each image.
-
-    At most `most` images are in work or queued at once.
-    """
+    At most `most` images are in work or queued at once."""
     waiting: deque[Future[None]] = deque()
     for path, drawing in drawings:
         if len(waiting) == most:
@@ -132,9 +130,7 @@ def _write_truth(
     tank: Tank, steps: int, path: Path, pool: ThreadPoolExecutor, report_progress: Callable[[], None]
 ) -> None:
     """Write the exact fields of `steps` steps to the Zarr store `path`, one chunk after the other.
-
-    `report_progress` is called after each step.
-    """
+    `report_progress` is called after each step."""
     grid, rate = tank.scene.grid, tank.scene.frame_rate
     names = [field.name for field in fields(Truth) if field.name != "time"]
     for first in range(0, steps, CHUNK_STEPS):
@@ -170,9 +166,7 @@ def _write_truth(
 
 def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
     """Write the files experiment.yaml, scene.yaml and truth/rig.yaml of a simulated experiment.
-
-    With wave probes it also writes probes.csv, and lenses.yaml if the surface is the open sea.
-    """
+    With wave probes it also writes probes.csv, and lenses.yaml if the surface is the open sea."""
     names = list(tank.rig)
     experiment = {
         "name": scene.name,
@@ -248,10 +242,8 @@ def _describe_target(scene: Scene) -> dict[str, object]:
 
 def _pairing(tank: Tank) -> dict[str, object]:
     """Return the blocks `surface` and `velocity` of the experiment file, which name cameras.
-
     The most upright camera forms a pair with each other camera, for the elevation. The other cameras measure
-    the velocity; if there are only two cameras, both do. With one camera the result is empty.
-    """
+    the velocity; if there are only two cameras, both do. With one camera the result is empty."""
     names = list(tank.rig)
     if len(names) < 2:
         return {}

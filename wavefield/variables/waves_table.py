@@ -36,10 +36,8 @@ def density_units(unit: str, *over: str) -> str:
 
 def rows(group: str, dims: tuple[str, ...], *rows: tuple[Any, ...], **more: Any) -> None:
     """Add variables of one group, with the dimensions `dims`, to the table of variables.
-
     Each row is (name, units, long_name) or (name, units, long_name, meaning). `more` holds further fields of
-    `Variable` for all rows; the type is float64 by default.
-    """
+    `Variable` for all rows; the type is float64 by default."""
     for name, units, text, *meaning in rows:
         note = meaning[0] if meaning else ""
         register(Variable(name, dims, units, text, meaning=note, group=group, **{"dtype": "float64"} | more))

@@ -73,10 +73,8 @@ def sources(names: Sequence[str]) -> list[str]:
 
 class _Advection:
     """Array (steps, ny, nx) of the quantity nl or rise, which computes its values when steps are read.
-
     nl is (u - U) . grad z and rise is z_t + U . grad z, with the current U of `welch`. `fields` holds z, z_t,
-    u and v, each (steps, ny, nx). Reading also writes the values at 16 nodes to ``points`` (nodes, steps).
-    """
+    u and v, each (steps, ny, nx). Reading also writes the values at 16 nodes to ``points`` (nodes, steps)."""
 
     def __init__(self, fields: Mapping[str, Array], welch: Welch, name: str) -> None:
         self.name = name
@@ -108,12 +106,10 @@ def transforms(
     memory: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
     """Return the spatial transforms (cells, steps) of the quantities `names` in half a segment.
-
     `fields` holds fields (steps, ny, nx) of the cube by name. The function removes them from it to free
     memory. The result holds each transform under the name of the quantity, and values at 16 nodes, (nodes,
     steps), under "points <name>". `memory` may hold earlier transforms by quantity, which the function
-    overwrites.
-    """
+    overwrites."""
     out, memory = {}, memory or {}
     advected = [name for name in ("nl", "rise") if name in names]
     for name in advected:
@@ -130,11 +126,9 @@ def transforms(
 
 def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Array]:
     """Return the arrays of zeros, by name, to which `add_segment` adds.
-
     `half` is the transform of half a segment, (cells, n / 2). There are sums over rings (2, rings, n / 2 + 1)
     for each quantity and each pair "a*b", "squares a*b" (rings, n / 2 + 1) for each pair, and "map <name>"
-    (cells, n) for each of the requested planes.
-    """
+    (cells, n) for each of the requested planes."""
     cells, steps = half.shape
     names = (*requested.names, *(f"{a}*{b}" for a, b in requested.pairs))
     sums = {name: np.zeros((2, table.k.size, steps + 1)) for name in names}
@@ -152,10 +146,8 @@ def add_segment(
     begin: int,
 ) -> None:
     """Add the powers and cross products of one segment to `sums`, and its Fourier lines at 16 nodes.
-
     `first` and `second` are the results of `transforms` for the two halves of the segment, and `begin` is its
-    first step. If `sums` is empty, the function creates its arrays with `empty_sums`.
-    """
+    first step. If `sums` is empty, the function creates its arrays with `empty_sums`."""
     if not sums:
         sums |= empty_sums(first[requested.names[0]], requested, welch.table)
     table, dt, names = welch.table, welch.record.dt, requested.names
@@ -190,10 +182,8 @@ def _add_products(
     quadrature: Sequence[Array],
 ) -> None:
     """Add the cross spectrum of a pair of quantities in one segment to `sums`.
-
     `lines` are the transforms at the cells (kx, ky) of a `slab`, `quadrature` the factors from `_quadrature`.
-    Sums over rings always exist; sums of single cells exist only if a map was requested.
-    """
+    Sums over rings always exist; sums of single cells exist only if a map was requested."""
     first, second, name = lines[pair[0]], lines[pair[1]], "*".join(pair)
     start = table.start[slab.start : slab.stop + 1]
     kernels.ring_cross_spectra(first, second, start, table.ring, table.weight, sums[name])
@@ -204,10 +194,8 @@ def _add_products(
 
 def _quadrature(b: Array) -> tuple[Array, Array]:
     """Return the factors (n,) with which Re S and Im S add up to Re(i exp(i b) S).
-
     S is a cross spectrum <conj(a) b> of numpy's transforms, which at positive frequencies are those of waves
-    exp(i (k . x + omega t)); the factors conjugate it there. `b` (n,) is omega dt / 2, in numpy's order.
-    """
+    exp(i (k . x + omega t)); the factors conjugate it there. `b` (n,) is omega dt / 2, in numpy's order."""
     imaginary = np.where(b < 0, -1.0, 1.0) * np.cos(b)
     imaginary[[0, b.size // 2]] = 0.0
     return -np.sin(np.abs(b)), imaginary
@@ -229,10 +217,8 @@ def _estimates(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> dict[str, Array]:
     """Return the arrays of `label`: spectra, degrees of freedom, cross spectra, numbers of samples.
-
     `sums` are the sums of `add_segment`. The arrays have the dimensions of `_DIMS`. Cross spectra and numbers
-    of samples are missing if there are no pairs.
-    """
+    of samples are missing if there are no pairs."""
     freedom = {name: ring_freedom(sums, name, welch) for name in names}
     if "nl" in names:
         waves = next(name for name in ("w", "rise", *names) if name in names)
@@ -255,9 +241,7 @@ def label(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
     """Return the result of `cross_spectra` from the sums of `add_segment` over all segments.
-
-    `names` are the quantities and `pairs` the pairs of quantities that were summed.
-    """
+    `names` are the quantities and `pairs` the pairs of quantities that were summed."""
     coords: dict[str, Any] = {"quantity": list(names)} | omega_coords(welch.omega) | k_coords(welch.table.k)
     if pairs:
         coords["pair"] = ["*".join(pair) for pair in pairs]
@@ -269,9 +253,7 @@ def label(
 
 def checked_fields(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
     """Return the fields of a cube from which the quantities `names` are computed, in m and m/s.
-
-    All of them have one floating-point type. Raise CubeError if one is missing.
-    """
+    All of them have one floating-point type. Raise CubeError if one is missing."""
     fields = sources(names)
     for field in fields:
         if field not in cube:
@@ -344,10 +326,8 @@ def _transform_blocks(
     names: Sequence[str], welch: Welch, blocks: list[Array], link: Link, memory: dict[str, Array]
 ) -> dict[str, Array]:
     """Return the result of `transforms` for half a segment, from blocks (steps, ny, nx) of the cube.
-
     `blocks` are in the order of `sources`; the function empties this list to free memory. It does not use
-    `link`, which `sum_segments` passes.
-    """
+    `link`, which `sum_segments` passes."""
     fields = dict(zip(sources(names), blocks))
     blocks.clear()  # so that `transforms` can release them
     return transforms(fields, names, welch, memory)
@@ -355,18 +335,14 @@ def _transform_blocks(
 
 def with_mean_current(cube: xr.Dataset, welch: Welch) -> Welch:
     """Return `welch` with the mean of u and v over the record as its current.
-
-    This reads evenly spaced steps of the cube.
-    """
+    This reads evenly spaced steps of the cube."""
     mean, _ = delayed_current(cube, welch.record).compute()
     return replace(welch, current=(float(mean[0]), float(mean[1])))
 
 
 def segment_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> dict[str, Array]:
     """Return the sums of `add_segment` over all segments of a cube, by name.
-
-    The fields of the cube have been checked with `checked_fields`.
-    """
+    The fields of the cube have been checked with `checked_fields`."""
     names = requested.names
     fields = [cube[field] for field in sources(names)]
     transform, add = partial(_transform_blocks, names, welch), partial(add_segment, requested, welch)
@@ -376,10 +352,8 @@ def segment_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> dict[s
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
     """Return `ring` with E divided by the power gain of the measurement, and with the mask ``valid_k``.
-
     ``valid_k`` (quantity, k) is true where the gain is large enough for the correction, or where the quantity
-    has none. The quantities rise and nl are not corrected, and their mask is false.
-    """
+    has none. The quantities rise and nl are not corrected, and their mask is false."""
     names = ring["quantity"].values
     factor, valid = np.ones((names.size, ring.sizes["k"])), np.zeros((names.size, ring.sizes["k"]), bool)
     for i, name in enumerate(names):
@@ -397,10 +371,8 @@ def _spectra(
     filled: Mapping[str, float],
 ) -> xr.Dataset:
     """Return the group `spectra` of `analyze`: E(k, omega), E(k) and E(omega), with 95 % intervals.
-
     If `gain` is given, spectra are divided by it. `filled` is, by quantity, the error in E(omega) due to
-    interpolated nodes; ``valid`` is false where this error may matter.
-    """
+    interpolated nodes; ``valid`` is false where this error may matter."""
     valid = ring["valid"]
     for name, added in filled.items():
         if added:
@@ -432,18 +404,14 @@ TERMS = {"w": "rise*w", "nl": "rise*nl", "tot": "rise*w"}
 
 def significance_level(samples: Any) -> Any:
     """Return the squared coherence that unrelated signals exceed in 5 % of cases.
-
-    It is 1 - 0.05^(1 / (N - 1)) for N = `samples` independent samples, and 1 for a single one.
-    """
+    It is 1 - 0.05^(1 / (N - 1)) for N = `samples` independent samples, and 1 for a single one."""
     more = np.maximum(samples - 1, 1e-9)
     return 1 - CHANCE ** (1 / more)
 
 
 def _above_noise(energy: xr.DataArray) -> xr.DataArray:
     """Return a mask (k,): true where the energy (omega, k) of a ring exceeds three times its noise.
-
-    The noise is the median over omega times the number of frequencies.
-    """
+    The noise is the median over omega times the number of frequencies."""
     noise = energy.median("omega") * energy.sizes["omega"]
     return energy.sum("omega") > MIN_SIGNAL_TO_NOISE * noise
 
@@ -596,10 +564,8 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
 
 def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
     """Return sums over steps, (cells,), from the spatial transforms (cells, steps) of rise, w and nl.
-
     "z_t", "w" and "nl" are the sums of rise, w and -nl; "z_t*w" and "z_t*nl" sums of conj(rise) times w or
-    -nl; "power" and "total" sums of |rise|^2 and |w - nl|^2.
-    """
+    -nl; "power" and "total" sums of |rise|^2 and |w - nl|^2."""
     z_t, w, nl = (parts[name] for name in COHERENCE_NAMES)
     return {
         "z_t": z_t.sum(axis=1),
@@ -614,9 +580,7 @@ def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
 
 def _plane_coherences(mean: dict[str, Array]) -> Array:
     """Return the moduli of the coherence of z_t with w, with -u . grad z and with their sum, (3, cells).
-
-    `mean` holds the results of `_plane_sums`, divided by the number of steps.
-    """
+    `mean` holds the results of `_plane_sums`, divided by the number of steps."""
     power = mean["power"] - np.abs(mean["z_t"]) ** 2
     total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))

@@ -20,10 +20,8 @@ _SLOWEST = 8  # lowest Fourier lines of the series of means, from which its unce
 
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
     """Return the mean (u, v) of a record and its standard uncertainty, each (2,), m/s, as dask objects.
-
     The mean is over up to 256 evenly spaced steps, and over space with the weights of a Hann window. This
-    window removes the waves; equal weights would leave a hundredth of them, coherent with z_t.
-    """
+    window removes the waves; equal weights would leave a hundredth of them, coherent with z_t."""
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
     chosen = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, SAMPLED_STEPS).astype(int)})
@@ -84,10 +82,8 @@ class CurrentUsed:
 
 def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> CurrentUsed:
     """Return the current fitted to the dispersion relation, else the `given` current, else still water.
-
     `dispersion` is the result of `dispersion_group`; it has no ``current_x`` if the fit failed. `given` is
-    along x and y, m/s. Only a fitted current has a standard uncertainty.
-    """
+    along x and y, m/s. Only a fitted current has a standard uncertainty."""
     if "current_x" in dispersion:
         velocity, std = ([float(dispersion[f"current_{a}{end}"]) for a in "xy"] for end in ("", "_std"))
         return CurrentUsed((velocity[0], velocity[1]), (std[0], std[1]), FITTED)

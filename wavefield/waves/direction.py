@@ -46,12 +46,10 @@ def packet_correlation(
     ky: Array, kx: Array, omega: Array, water: tuple[float, float], current: tuple[float, float], dof: float
 ) -> Array:
     """Return the factor, (ky, kx), by which free waves raise the variance of a mean over segments.
-
     A slow wave packet stays in the rectangle for several segments, which are then correlated. The factor is
     relative to white noise and at least 1. `ky`, `kx` and `omega` are the axes of the spectrum, rad/m and
     rad/s. `water` holds the depth, m, and the surface tension over density, m3/s2; `current` is in m/s; `dof`
-    are the degrees of freedom of a cell, from which the number of segments follows.
-    """
+    are the degrees of freedom of a cell, from which the number of segments follows."""
     k = np.maximum(np.hypot(ky[:, None], kx), 1e-9)
     speed = group_velocity(k, *water) / k
     velocity = speed * kx + current[0], speed * ky[:, None] + current[1]
@@ -64,11 +62,9 @@ def packet_correlation(
 
 def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
     """Return the covariances of the energies of sectors of direction, (sectors, sectors).
-
     `shares` (sectors, cells) is the fraction of each cell of the k plane in each sector. `energy` (lines, ky,
     kx) is the spectrum, with `dof` degrees of freedom in each cell. Neighbouring cells and lines are
-    correlated by the Hann windows, and sectors share cells.
-    """
+    correlated by the Hann windows, and sectors share cells."""
     lines, ny, nx = energy.shape
     reach = min(2, lines - 1)
     over_lines = ndimage.convolve1d(energy, _HANN[2 - reach : 3 + reach], axis=0, mode="constant")
@@ -89,10 +85,8 @@ def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
 
 def sector_freedom(levels: Array, covariances: Array) -> Array:
     """Return the degrees of freedom of each sector's fraction of the total energy, (sectors,).
-
     `levels` (sectors,) are the energies of the sectors, and `covariances` (sectors, sectors) their
-    covariances.
-    """
+    covariances."""
     total = max(levels.sum(), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
@@ -101,10 +95,8 @@ def sector_freedom(levels: Array, covariances: Array) -> Array:
 
 def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[float, float]:
     """Return the standard uncertainties of the first harmonic of D(theta) along and across its direction.
-
     The harmonic is the mean of exp(i theta) weighted by the energies `levels` of sectors at the directions
-    `theta`, rad, both (sectors,). `covariances` (sectors, sectors) are the covariances of these energies.
-    """
+    `theta`, rad, both (sectors,). `covariances` (sectors, sectors) are the covariances of these energies."""
     total = max(levels.sum(), 1e-300)
     turned = np.exp(1j * theta)
     first = (levels * turned).sum() / total
@@ -120,10 +112,9 @@ LOWEST_HZ = 0.5  # chosen: below it, the elevation integrated from w is mostly d
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
     """Return E(k, omega + k . U), the spectrum in the frame of the water, (lines, ky, kx).
-
     `density` is E(omega, ky, kx), `lines` are the indices of the wanted frequencies, and U is the `current`,
-    m/s. Values between two frequencies are interpolated linearly; above the highest frequency they are zero.
-    """
+    m/s. Values between two frequencies are interpolated linearly; above the highest frequency they are
+    zero."""
     values = density.values
     if not any(current):
         return np.asarray(values[lines], float)
@@ -167,11 +158,9 @@ class _RingSectors:
 
     def shares(self, centre: float, half: float) -> tuple[Array, Array]:
         """Return the fraction of each cell in each sector of a ring, and the sampled fraction of each sector.
-
         The ring extends from `centre` - `half` to `centre` + `half`, rad/m. The first result is (sectors,
         cells). The second is (sectors,): the fraction of the area of a sector of the ring that lies in the k
-        plane.
-        """
+        plane."""
         first = np.searchsorted(self.radius, centre - half, "right")
         ring = slice(first, np.searchsorted(self.radius, centre + half, "left"))
         parts = np.bincount(self.place[ring], minlength=self.count * self.cells)
@@ -271,11 +260,9 @@ def elevation_density(
     density: xr.DataArray, current: tuple[float, float], frames: int, water: tuple[float, float]
 ) -> xr.DataArray:
     """Return E(omega, ky, kx) of the elevation, from the spectrum `density` of w.
-
     w is integrated at the frequency in the frame of the water, omega - k . U, with the `current` U in m/s.
     `frames` is the number of frames per velocity, as in `elevation_from_w`. `water` holds the depth, m, and
-    the surface tension over density, m3/s2. The result is zero at omega = 0.
-    """
+    the surface tension over density, m3/s2. The result is zero at omega = 0."""
     omega, ky, kx = np.meshgrid(
         *(density[name] for name in ("omega", "ky", "kx")), indexing="ij", sparse=True
     )
@@ -288,10 +275,8 @@ def elevation_density(
 
 def resolved_frequencies(density: xr.DataArray, depth: float, gamma: float) -> Array:
     """Return the middles of the frequency bands, Hz, that segment and grid of E(omega, ky, kx) resolve.
-
     They begin at 0.5 Hz, or at three lines of the spectrum, and are 0.1 Hz or one line apart. `depth` is in
-    m, and `gamma` is the surface tension over density, m3/s2.
-    """
+    m, and `gamma` is the surface tension over density, m3/s2."""
     lines = density["omega"].values / (2 * np.pi)
     shortest = dispersion(SHORTEST_WAVES * _largest_k(density), depth, gamma) / (2 * np.pi)
     return np.arange(max(LOWEST_HZ, 3 * lines[1]), min(shortest, 0.9 * lines[-1]), max(STEP_HZ, lines[1]))
@@ -306,11 +291,9 @@ def above_noise(
     density: xr.DataArray, found: xr.Dataset, water: tuple[float, float], current: tuple[float, float]
 ) -> NDArray[np.bool_]:
     """Return a mask (frequency,): true where the grid resolves the waves and they exceed the noise.
-
     `density` is E(omega, ky, kx). `found` has the coordinate ``frequency``, in the frame of the water, Hz.
     Energy is summed near the dispersion relation, and must exceed three times the noise summed there. `water`
-    holds the depth, m, and the surface tension over density, m3/s2; `current` is in m/s.
-    """
+    holds the depth, m, and the surface tension over density, m3/s2; `current` is in m/s."""
     spectrum = PlaneSpectrum.of(density, water)
     frequency = found["frequency"].values
     centres = wavenumber(2 * np.pi * frequency, *water)
@@ -330,9 +313,7 @@ def above_noise(
 
 def oceanographic(found: xr.Dataset) -> xr.DataArray:
     """Return ``efth`` (freq, dir), the spectrum per Hz and degree, from a result of `directions`.
-
-    ``dir`` is the direction that waves come from, in degrees clockwise from the y axis.
-    """
+    ``dir`` is the direction that waves come from, in degrees clockwise from the y axis."""
     compass = (270 - np.degrees(found["theta"].values)) % 360
     order = np.argsort(compass)
     energy = (found["energy"] * found["D"] * np.pi / 180).values[:, order]
@@ -353,11 +334,9 @@ def _directions(
     dof: float | None,
 ) -> xr.Dataset:
     """Return the result of `directions` for E(omega, ky, kx) with `dof` degrees of freedom in each cell.
-
     If `dof` is None, uncertainties are NaN. `frequency` holds the middles of the bands, Hz; `water` the
     depth, m, and the surface tension over density, m3/s2; `current` is in m/s. Raise CubeError if there is no
-    frequency or the spectrum ends below one.
-    """
+    frequency or the spectrum ends below one."""
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
     if not frequency.size:
@@ -403,11 +382,9 @@ def _label(
     stds: Array,
 ) -> xr.Dataset:
     """Return the directional density, harmonics, spread and uncertainties from energies of sectors.
-
     `frequency`, Hz, and the wavenumbers `centres`, rad/m, of free waves are (frequency,). The energies
     `levels` and their degrees of freedom `degrees` are (frequency, sectors). `cells` are the sides of a cell
-    along ky and kx, rad/m. `stds` (2, frequency) are the results of `harmonic_stds`.
-    """
+    along ky and kx, rad/m. `stds` (2, frequency) are the results of `harmonic_stds`."""
     sectors = levels.shape[1]
     width = 2 * np.pi / sectors
     theta = (np.arange(sectors) + 0.5) * width
@@ -451,10 +428,8 @@ def direction_group(
     density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch
 ) -> xr.Dataset | Noted:
     """Return the group `direction` of `analyze`: the result of `directions` at all resolved frequencies.
-
     `density` is E(omega, ky, kx) of w. The variables dof, low and high are renamed to dof_D, low_D and
-    high_D. If the current is not known, ``efth`` is left out and a note says so.
-    """
+    high_D. If the current is not known, ``efth`` is left out and a note says so."""
     water = depth, gamma
     elevation = elevation_density(density, used.velocity, welch.frames, water)
     frequency = resolved_frequencies(density, *water)

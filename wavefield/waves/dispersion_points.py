@@ -67,9 +67,7 @@ class PlaneSpectrum:
     @classmethod
     def of(cls, density: xr.DataArray, water: Water) -> "PlaneSpectrum":
         """Return a spectrum E(omega, ky, kx) with its estimated noise.
-
-        `water` holds the depth, m, and the surface tension over density, m3/s2.
-        """
+        `water` holds the depth, m, and the surface tension over density, m3/s2."""
         omega, plane = density["omega"].values, WavenumberPlane.of(density)
         energy = density.values.reshape(omega.size, -1)
         least = np.float32(LEAST_NOISE * energy.mean(dtype=float))
@@ -82,11 +80,9 @@ class PlaneSpectrum:
 
 def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
     """Return the noise of a spectrum, (lines, cells): a function of omega times a function of |k|.
-
     `energy` (lines, cells) is the spectrum. Noise is independent in time and correlated over a matching
     window in space, so its spectrum factorises. The function of omega is the median of the cells above 0.8 of
-    the Nyquist wavenumber, where waves are weak.
-    """
+    the Nyquist wavenumber, where waves are weak."""
     outer = plane.k > SHORTEST_WAVES * plane.nyquist
     if not outer.any():
         return np.zeros(energy.shape, np.float32)
@@ -105,10 +101,8 @@ def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
 
 def _mean_of_noise(values: Array) -> float:
     """Return the mean of noise from `values` of which some contain waves; 0 if the median is 0.
-
     The noise follows a chi-squared distribution, so its mean is about median + variance / (3 median). The
-    variance comes from the median and the lower quartile, which waves hardly change.
-    """
+    variance comes from the median and the lower quartile, which waves hardly change."""
     low, middle = np.quantile(values, [0.25, 0.5])
     std = (middle - low) / 0.6745
     return float(middle + std**2 / (3 * middle)) if middle > 0 else 0.0
@@ -123,10 +117,8 @@ VOTING_SECTORS = 2 * SECTORS  # finer, because single cells vote
 
 def scan_current(spectrum: PlaneSpectrum) -> Array:
     """Return the current (2,), to 0.02 m/s, with the dispersion relation that contains the most energy.
-
     This is a Hough transform: each cell votes for the component of the current along its k, which is (omega -
-    sigma(k)) / k or (omega + sigma(k)) / k. Of currents with nearly as many votes, the slowest is taken.
-    """
+    sigma(k)) / k or (omega + sigma(k)) / k. Of currents with nearly as many votes, the slowest is taken."""
     plane, omega = spectrum.plane, spectrum.omega
     used = plane.k > MIN_CELLS_FROM_ZERO * plane.cell
     used &= plane.k < 0.9 * plane.k[plane.ky == 0].max()
@@ -162,9 +154,7 @@ def scan_current(spectrum: PlaneSpectrum) -> Array:
 
 def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
     """Return a mask (lines, cells): true near the dispersion relation on a current.
-
-    Near means within the distance in omega that corresponds to two cells in k and two lines in omega.
-    """
+    Near means within the distance in omega that corresponds to two cells in k and two lines in omega."""
     omega, plane = spectrum.omega, spectrum.plane
     free = dispersion(plane.k, *spectrum.water) + current[0] * plane.kx + current[1] * plane.ky
     slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), *spectrum.water))
@@ -175,10 +165,8 @@ def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
 
 def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
     """Return the ratio of the energy near the relation on a current to the energy expected of noise.
-
     The expected energy is the mean energy of the same cells at other frequencies. Only the frequencies of
-    `lines`, a boolean array (lines,), are used. White noise gives about 1.
-    """
+    `lines`, a boolean array (lines,), are used. White noise gives about 1."""
     near = _near_relation(spectrum, current)[lines]
     near[:, spectrum.plane.k < MIN_CELLS_FROM_ZERO * spectrum.plane.cell] = False
     energy = spectrum.energy[lines]
@@ -205,10 +193,8 @@ FLOOR = 1e-9  # chosen: cells with less energy, relative to the strongest, have 
 
 def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
     """Return the spectrum (lines, cells) of simulated free waves, broadened by Hann windows.
-
     The waves lie on the relation on `current` and have the measured energy above the noise. The function
-    finds the energies of four waves per cell by deconvolution.
-    """
+    finds the energies of four waves per cell by deconvolution."""
     near, ky, kx = _near_relation(spectrum, current), *spectrum.plane.axes
     shape = spectrum.omega.size, ky.size, kx.size
 
@@ -267,9 +253,7 @@ MAX_DISPLACEMENT = 0.3  # chosen, in cells of k: points that are displaced furth
 @dataclass(frozen=True)
 class RelationPoints:
     """Measured points of the dispersion relation: centroids in k, at most one per frequency and sector.
-
-    All arrays are (points,).
-    """
+    All arrays are (points,)."""
 
     omega: Array  # rad/s
     k: Array  # rad/m
@@ -315,10 +299,8 @@ def sectors_of(plane: WavenumberPlane, count: int) -> list[Sector]:
 
 def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) -> RelationPoints:
     """Return the centroids in k of the energy above the noise, for each frequency and sector.
-
     The centroid is computed in a window around the dispersion relation on `current`. Windows with too few
-    cells or a signal-to-noise ratio below 1, and centroids outside the window, give no point.
-    """
+    cells or a signal-to-noise ratio below 1, and centroids outside the window, give no point."""
     plane, omega, water = spectrum.plane, spectrum.omega, spectrum.water
     k_table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
     free = dispersion(k_table, *water)
@@ -366,11 +348,9 @@ def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) ->
 
 def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:
     """Return the k of each frequency on the relation omega = free(k) + k along, (lines,), rad/m.
-
     `along` is the component of the current along k, m/s. `free` and the group velocity `speed` are values for
     still water at the wavenumbers `k`. Against a current, omega grows with k only while `speed` exceeds the
-    current; k is NaN at frequencies that the current blocks.
-    """
+    current; k is NaN at frequencies that the current blocks."""
     doppler = free + k * along
     blocked = speed + along < MIN_SPEED_ON_CURRENT * speed
     last = int(blocked.argmax()) if blocked.any() else k.size
@@ -405,10 +385,8 @@ class WindowDisplacement:
         current: Array,
     ) -> "WindowDisplacement":
         """Return the displacement, measured on simulated free waves on the relation on `current`.
-
         Only the frequencies of `band`, a boolean array (lines,), are used. Points with a large displacement
-        are left out: they are beyond the end of the sea, in leakage alone.
-        """
+        are left out: they are beyond the end of the sea, in leakage alone."""
         free_waves = windowed_waves(spectrum, current)[band]
         simulated = replace(
             spectrum, omega=spectrum.omega[band], energy=free_waves, noise=np.zeros_like(free_waves)
@@ -422,10 +400,8 @@ class WindowDisplacement:
 
     def removed_from(self, points: RelationPoints, part: float = 1.0) -> RelationPoints:
         """Return the points with `part` (1: all) of the displacement subtracted from their k.
-
         Points without a measured displacement are left out. The uncertainty ``k_std`` grows by 0.3 of the
-        displacement, in quadrature.
-        """
+        displacement, in quadrature."""
         _, measured, simulated = np.intersect1d(points.key, self.key, assume_unique=True, return_indices=True)
         points, displacement = points[measured], self.k[simulated]
         k_std = np.hypot(points.k_std, LEAKAGE_ERROR * displacement)

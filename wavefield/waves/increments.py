@@ -54,10 +54,8 @@ def powers_of_differences(values: Array, axis: int, lag: int, differences: int) 
 
 def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[int, int]]]:
     """Return the blocks of steps, (start, stop, run), into which the runs of a record are cut.
-
     A block is twice as long as the `longest` lag, in steps, or shorter if there would be fewer than eight
-    blocks.
-    """
+    blocks."""
     steps = sum(b - a for a, b in record.runs)
     length = max(min(2 * longest, steps // MIN_BLOCKS), 2)
     return [(a, a + length, run) for run in record.runs for a in range(run[0], run[1] - length + 1, length)]
@@ -162,9 +160,7 @@ def structure_functions(
 
 def _moments(sums: Array) -> tuple[Array, Array]:
     """Return structure functions (..., lags, orders) and flatness (..., lags).
-
-    `sums` (..., lags, 7) are sums of the results of `powers_of_differences`.
-    """
+    `sums` (..., lags, 7) are sums of the results of `powers_of_differences`."""
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = sums[..., 1:] / sums[..., :1]
         return mean, mean[..., 3] / mean[..., 1] ** 2

@@ -28,10 +28,8 @@ Convert = Callable[[Any, str], tuple[Any, dict[str, Any]]]
 
 def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
     """Make a decorator that converts the first argument of an estimator.
-
     `convert(argument, name)` gets the argument and the name of the estimator. It returns the converted
-    argument and parameters stored in it, such as the depth. These are used where the caller gives none.
-    """
+    argument and parameters stored in it, such as the depth. These are used where the caller gives none."""
 
     def decorate(estimator: Estimator) -> Estimator:
         signature = inspect.signature(estimator)
@@ -73,9 +71,7 @@ def is_cube(given: object) -> bool:
 
 def water_parameters(given: Any) -> dict[str, float]:
     """Return ``depth`` (m) and ``gamma``, surface tension over density (m3/s2), that the argument carries.
-
-    The argument is a cube, field or spectrum. The result is empty if neither is stored in it.
-    """
+    The argument is a cube, field or spectrum. The result is empty if neither is stored in it."""
     stated = {name: given.coords[name].item() for name in WATER if name in given.coords}
     stated |= stated_water(given.attrs)
     if not stated:
@@ -91,9 +87,7 @@ def keep_water(out: xr.Dataset, given: xr.DataArray) -> xr.Dataset:
 
 def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
     """Return a variable and its water parameters, or raise CubeError if it is not a DataArray.
-
-    `name` is the name of the estimator, for the message. The dimensions are not checked.
-    """
+    `name` is the name of the estimator, for the message. The dimensions are not checked."""
     if not isinstance(given, xr.DataArray):
         raise CubeError(
             f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"
@@ -103,9 +97,7 @@ def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
 
 def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return a cube and an empty dict of parameters, or raise CubeError if it is not a cube.
-
-    `name` is the name of the estimator, for the message.
-    """
+    `name` is the name of the estimator, for the message."""
     if isinstance(given, str | Path):
         raise CubeError(f"{name} needs a cube, not its path; use wavefield.open_cube({str(given)!r})")
     if not is_cube(given):
@@ -217,9 +209,7 @@ def cube(
 
 def _seconds(name: str, field: object) -> xr.DataArray:
     """Return a field with times in seconds; dates become seconds since the first date.
-
-    `name` is the name of the field for the CubeError that is raised if it is not a DataArray.
-    """
+    `name` is the name of the field for the CubeError that is raised if it is not a DataArray."""
     if not isinstance(field, xr.DataArray):
         raise CubeError(f"{name!r} is a {type(field).__name__}: give a DataArray over time, y and x")
     if "time" in field.coords and field["time"].dtype.kind in "mM":
@@ -231,9 +221,7 @@ def _seconds(name: str, field: object) -> xr.DataArray:
 
 def _rate(z: xr.DataArray) -> xr.DataArray:
     """Return the time derivative of z, m/s, over (time, y, x); NaN at nodes that are never measured.
-
-    Raises CubeError if a node is measured at some times only.
-    """
+    Raises CubeError if a node is measured at some times only."""
     t = z["time"].values.astype(float)
 
     def derive(values: np.ndarray) -> Any:

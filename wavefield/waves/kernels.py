@@ -25,10 +25,8 @@ _TILE = 8  # steps transposed at once: a cache line of 64 bytes
 @_loose
 def join(first: Array, second: Array, window: Array, out: Array) -> None:
     """Join the halves of a segment without mean and trend, windowed and transposed, into ``out``.
-
     The halves hold (n / 2, 2 cells), and ``out`` (cells, 2 n), real numbers: real and imaginary parts
-    alternate. ``window`` has n values.
-    """
+    alternate. ``window`` has n values."""
     half, columns = first.shape
     n = 2 * half
     middle = (n - 1) / 2
@@ -76,11 +74,9 @@ def _add_row(row: Array, factor: float, out: Array) -> None:
 @_loose
 def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Array, out: Array) -> None:
     """Add the powers of Fourier lines f (cells, n) to ``out`` (2, rings, n // 2 + 1).
-
     ``out[0]`` gets sums of |f|^2 over the cells of each ring, with ``weight``, and ``out[1]`` sums of |f|^4,
     with ``spread``. Both signs of omega are added together. ``start``, ``ring``, ``weight`` and ``spread``
-    are those of `rings.Rings`.
-    """
+    are those of `rings.Rings`."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n, f.real.dtype)
@@ -107,11 +103,9 @@ def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Arra
 @_rounded
 def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Array, out: Array) -> None:
     """Add the cross products conj(f) g of Fourier lines (cells, n) to ``out`` (2, rings, n // 2 + 1).
-
     ``out[0]`` gets the real and ``out[1]`` the imaginary part, summed over the cells of each ring, with both
     signs of omega added together. The sign is that of waves exp(i (k . x - omega t)). ``start``, ``ring`` and
-    ``weight`` are those of `rings.Rings`.
-    """
+    ``weight`` are those of `rings.Rings`."""
     cells, n = f.shape
     half = n // 2
     real = np.empty(n, f.real.dtype)
@@ -137,9 +131,7 @@ def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Ar
 @_loose
 def ring_squares(f: Array, g: Array, start: Array, ring: Array, spread: Array, out: Array) -> None:
     """Add |f|^2 |g|^2 of the Fourier lines of two fields (cells, n) to ``out`` (rings, n // 2 + 1).
-
-    Both signs of omega are added together. ``start``, ``ring`` and ``spread`` are those of `rings.Rings`.
-    """
+    Both signs of omega are added together. ``start``, ``ring`` and ``spread`` are those of `rings.Rings`."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n)
@@ -171,9 +163,7 @@ def add_powers(f: Array, out: Array) -> None:
 @_rounded
 def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) -> None:
     """Add ``real`` times the real part and ``imaginary`` times the imaginary part of conj(f) g to ``out``.
-
-    f, g and ``out`` are (cells, n); the two factors are (n,).
-    """
+    f, g and ``out`` are (cells, n); the two factors are (n,)."""
     for c in range(f.shape[0]):
         a = f[c]
         b = g[c]
@@ -186,9 +176,7 @@ def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) 
 @_fast
 def _along(z: Array, factor: float, out: Array) -> None:
     """Write the derivative of a line into ``out``; ``factor`` is 1 / spacing.
-
-    It uses central differences of sixth order, of lower order near the ends.
-    """
+    It uses central differences of sixth order, of lower order near the ends."""
     n = z.size
     if n > 6:
         a, b, c, d, e, f = z[4:], z[2:], z[5:], z[1:], z[6:], z
@@ -214,9 +202,7 @@ def _along(z: Array, factor: float, out: Array) -> None:
 @_fast
 def _across(z: Array, i: int, factor: float, out: Array) -> None:
     """Write dz/dy at row i of z (y, x) into ``out`` (x,); ``factor`` is 1 / dy.
-
-    The differences are those of `_along`.
-    """
+    The differences are those of `_along`."""
     ny, nx = z.shape
     room = min(i, ny - 1 - i)
     if room >= 3:
@@ -244,9 +230,7 @@ def _across(z: Array, i: int, factor: float, out: Array) -> None:
 @_fast
 def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
     """Write dz/dy and dz/dx of z (steps, y, x) into ``z_y`` and ``z_x``.
-
-    Uses central differences of sixth order, of lower order near the edges.
-    """
+    Uses central differences of sixth order, of lower order near the edges."""
     for t in range(z.shape[0]):
         for i in range(z.shape[1]):
             _along(z[t, i], 1 / dx, z_x[t, i])
@@ -264,10 +248,8 @@ def advection(
     out: Array,
 ) -> None:
     """Write the nonlinear term u . grad z of n steps into ``out`` (n, y, x).
-
     ``first`` is the index in the fields (steps, y, x) of the first of these steps. The derivatives are those
-    of `gradient`.
-    """
+    of `gradient`."""
     z_y = np.empty(z.shape[2], z.dtype)
     z_x = np.empty(z.shape[2], z.dtype)
     for t in range(out.shape[0]):
@@ -284,10 +266,8 @@ def advection(
 @_loose
 def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: Array, counts: Array) -> None:
     """Add the powers 1 to 4 of values (steps, nodes) minus ``mean`` to ``sums`` (4, nodes).
-
     The values are also added to the histogram ``counts``, whose second bin begins at ``low``. It has
-    ``per_unit`` bins per unit; its first and last bins count the values outside.
-    """
+    ``per_unit`` bins per unit; its first and last bins count the values outside."""
     last = counts.size - 1
     for r in range(values.shape[0]):
         for i in range(values.shape[1]):
@@ -306,11 +286,9 @@ def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: A
 @_loose
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
     """Add the power of each wave to the spectrum ``out`` (lines, ny, nx), spread over neighbouring cells.
-
     Along each of the three axes, the cells of a wave begin at the index in ``first`` (3, waves), and the wave
     is divided between them by ``weights`` (3, waves, cells). Cells beyond an edge of the k plane continue at
-    its opposite edge; lines outside the spectrum are left out.
-    """
+    its opposite edge; lines outside the spectrum are left out."""
     lines, ny, nx = out.shape
     near = weights.shape[2]
     columns = np.empty(near, np.int64)

@@ -105,9 +105,8 @@ def phase_average(
 
 def phase_weights(angle: Array, phases: int) -> Array:
     """Return the weight of each step in each phase, (steps, phases).
-
-    `angle` (steps,) is the phase of each step, rad. A step contributes to the two nearest phases, linearly.
-    """
+    `angle` (steps,) is the phase of each step, rad. A step contributes to the two nearest phases,
+    linearly."""
     place = angle / (2 * np.pi) * phases
     low = np.floor(place)
     out = np.zeros((angle.size, phases))
@@ -119,10 +118,8 @@ def phase_weights(angle: Array, phases: int) -> Array:
 
 def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict[str, Array]:
     """Return three sums over the steps for each field, at every node.
-
     ``mean <field>`` is weighted with `weights` (steps, phases), ``fit <field>`` with `design` (steps,
-    functions), and ``square <field>`` sums the squares.
-    """
+    functions), and ``square <field>`` sums the squares."""
     sums: dict[str, Array] = {}
     first = 0
     for run in read.record.runs:

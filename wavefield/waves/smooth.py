@@ -38,12 +38,10 @@ CURRENT_ERROR = 0.2  # m/s, chosen: prior standard deviation of the current abou
 
 class PlaneWaves:
     """Linear model of z, u, v and the rate of rise: free waves on a current, plus a constant per field.
-
     The unknowns are the complex amplitudes of plane waves and one constant for each field, over a rectangle
     of nodes and a window of times. An array of n unknowns holds the n real parts, then the n imaginary parts.
     The wave vectors lie on rings of |k|, closer than the resolution of the rectangle, so that the fields need
-    not be periodic.
-    """
+    not be periodic."""
 
     def __init__(
         self, shape: tuple[int, int], step: float, times: Array, current: Array, depth: float, gamma: float
@@ -100,9 +98,7 @@ class PlaneWaves:
 
     def change_with_current(self, unknowns: Array) -> list[Array]:
         """Return the derivatives of the fields with respect to the current along x, and along y.
-
-        Both are (fields, times, ny, nx).
-        """
+        Both are (fields, times, ny, nx)."""
         out = []
         for k in (self.kx, self.ky):
             changed = np.zeros_like(self.response)
@@ -113,9 +109,7 @@ class PlaneWaves:
 
     def _sums(self, response: NDArray[np.complex128], unknowns: Array) -> Array:
         """Return the fields (fields, times, ny, nx) that the unknowns give.
-
-        `response` (fields, times, unknowns) is that of each field to each unknown.
-        """
+        `response` (fields, times, unknowns) is that of each field to each unknown."""
         real, imaginary = np.split(unknowns, 2)
         each = response * (real + 1j * imaginary)
         n = self.kx.size
@@ -125,9 +119,8 @@ class PlaneWaves:
 
     def transposed(self, weighted: Array) -> Array:
         """Apply the transpose of `fields` to an array (fields, times, ny, nx).
-
-        Returns the inner product of the array with the response to each unknown, real then imaginary parts.
-        """
+        Returns the inner product of the array with the response to each unknown, real then imaginary
+        parts."""
         sums = weighted.reshape(-1, self.basis.shape[0]) @ self.basis
         real, imaginary = np.split(sums.reshape(*weighted.shape[:2], -1), 2, axis=-1)
         out = ((real + 1j * imaginary)[..., self.vector] * self.response).sum(axis=(0, 1))
@@ -135,9 +128,8 @@ class PlaneWaves:
 
     def products(self, mask: Mask) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """Return the sums of conj(E_k) E_l and of E_k E_l over the nodes of `mask` (ny, nx).
-
-        E_k is the plane wave exp(i k . x) of unknown k, or 1 for a constant. Both are (unknowns, unknowns).
-        """
+        E_k is the plane wave exp(i k . x) of unknown k, or 1 for a constant. Both are (unknowns,
+        unknowns)."""
         real, imaginary = np.split(self.basis[mask.ravel()], 2, axis=1)
         waves = real + 1j * imaginary
         at = np.ix_(self.vector, self.vector)
@@ -147,9 +139,8 @@ class PlaneWaves:
         self, products: tuple[NDArray[np.complex128], ...], variance: Sequence[float] | Array
     ) -> Array:
         """Return the normal matrix of the least-squares fit, (2 n, 2 n), for n unknowns.
-
-        `products` is the result of the method of that name; `variance` has the noise variance of each field.
-        """
+        `products` is the result of the method of that name; `variance` has the noise variance of each
+        field."""
         q = self.response.reshape(FIELDS, self.times.size, -1) / np.sqrt(np.asarray(variance))[:, None, None]
         q = q.reshape(-1, self.vector.size)
         hermitian, symmetric = products[0] * (q.conj().T @ q), products[1] * (q.T @ q)
@@ -159,9 +150,7 @@ class PlaneWaves:
 
     def rows(self, nodes: NDArray[np.intp], time: int) -> Array:
         """Return the response of four fields and the slopes z_x, z_y at some nodes, (6, nodes, 2 unknowns).
-
-        `nodes` are indices in the flattened rectangle, and `time` is the index of a time.
-        """
+        `nodes` are indices in the flattened rectangle, and `time` is the index of a time."""
         real, imaginary = np.split(self.basis[nodes], 2, axis=1)
         response = np.concatenate([self.response[:, time], self._slope_response(time)])
         each = (real + 1j * imaginary)[:, self.vector] * response[:, None]
@@ -170,9 +159,7 @@ class PlaneWaves:
 
 class Posterior:
     """Gaussian posterior distribution of the unknowns of `PlaneWaves`, given measured fields.
-
-    It is computed from the normal matrix of the fit and the prior variance of each unknown.
-    """
+    It is computed from the normal matrix of the fit and the prior variance of each unknown."""
 
     def __init__(self, normal: Array, prior: Array) -> None:
         self.scale = np.sqrt(np.tile(prior, 2))
@@ -182,17 +169,13 @@ class Posterior:
 
     def solve(self, right: Array) -> Array:
         """Return the posterior mean of the unknowns.
-
-        `right` is `PlaneWaves.transposed` of the fields divided by their noise variances.
-        """
+        `right` is `PlaneWaves.transposed` of the fields divided by their noise variances."""
         out = scipy.linalg.cho_solve((self._lower, True), self.scale * right, check_finite=False)
         return np.asarray(self.scale * out)
 
     def covariance(self, rows: Array) -> Array:
         """Return the covariance of r linear functions of the unknowns at some nodes, (nodes, r, r).
-
-        `rows` (r, nodes, 2 unknowns) has their coefficients.
-        """
+        `rows` (r, nodes, 2 unknowns) has their coefficients."""
         flat = (rows * self.scale).reshape(-1, self.scale.size).T
         half = scipy.linalg.solve_triangular(self._lower, flat, lower=True, check_finite=False)
         half = half.reshape(-1, *rows.shape[:2])
@@ -206,10 +189,8 @@ class Posterior:
 
     def solve_partial(self, waves: PlaneWaves, fields: Array, weight: Array) -> Array:
         """Return the posterior mean of the unknowns for fields with missing nodes.
-
         `weight` is 1 / noise variance, and 0 at missing nodes. The equations are solved by conjugate
-        gradients, with the fit to all nodes as the preconditioner.
-        """
+        gradients, with the fit to all nodes as the preconditioner."""
         size = self.scale.size
         matrix = LinearOperator(
             (size, size), lambda x: x / self.scale**2 + waves.transposed(weight * waves.fields(x))
@@ -233,12 +214,10 @@ class Learned:
 
 def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array, mean: Array) -> Learned:
     """Estimate spectrum, noise and current from sample windows (fields, times, ny, nx).
-
     The windows are 0 outside ``mask`` (ny, nx). ``variance`` (fields,) has the squared standard uncertainties
     of the cube; ``mean`` (2,), the mean velocity, m/s, is the first estimate of the current. The spectrum is
     estimated by expectation maximisation: in each round, the variance of a ring becomes the mean square of
-    its amplitudes plus their posterior variance. The current of `waves` is set to the result.
-    """
+    its amplitudes plus their posterior variance. The current of `waves` is set to the result."""
     products = waves.products(mask)
     # the noise that resembles waves is estimated on an orthogonal basis of all plane waves
     basis = waves.basis[mask.ravel()]
@@ -284,10 +263,8 @@ def _current_step(
     expected: Array,
 ) -> Array:
     """Return a Gauss-Newton step of the current, (2,), m/s.
-
     `found` has the unknowns and `rest` the residuals of each window; `weight` is 1 / noise variance.
-    `expected` is the step that leads to the prior mean of the current.
-    """
+    `expected` is the step that leads to the prior mean of the current."""
     normal = np.eye(2) / CURRENT_ERROR**2
     right = expected / CURRENT_ERROR**2
     for x, left in zip(found, rest):
@@ -343,10 +320,8 @@ class _Smoother:
 
     def parts(self, window: Array) -> tuple[Array, Array, Array]:
         """Return fields, variances and mask of a window.
-
         Fields z, u, v and rate of rise and their variances are (4, times, ny, nx), 0 and 1 at nodes that are
-        not measured; the mask (times, ny, nx) is True at measured nodes.
-        """
+        not measured; the mask (times, ny, nx) is True at measured nodes."""
         z, u, v, w = window[:4].astype(float)
         z_y, z_x = slopes(z, self.step, self.step)
         fields = np.stack([z, u, v, w - u * z_x - v * z_y])
@@ -359,10 +334,8 @@ class _Smoother:
 
     def study(self, windows: list[Array]) -> None:
         """Learn spectrum, noise and current from sample windows (9, times, ny, nx).
-
         Only the half of the windows with most measured nodes is used, in the rectangle with most nodes that
-        are measured at all times. Raises CubeError if these are fewer than a quarter.
-        """
+        are measured at all times. Raises CubeError if these are fewer than a quarter."""
         parts = [self.parts(window) for window in windows]
         shares = [there.mean() for _, _, there in parts]
         parts = [parts[i] for i in np.argsort(shares, kind="stable")[len(parts) // 2 :]]
@@ -384,9 +357,7 @@ class _Smoother:
 
     def fit_of(self, number: int) -> tuple[Posterior, Array]:
         """Return the posterior of rectangle `number`, and the covariance of its fields at the middle time.
-
-        The covariance (ny, nx, 6, 6) is of z, u, v, rate of rise, z_x and z_y. Both are computed once.
-        """
+        The covariance (ny, nx, 6, 6) is of z, u, v, rate of rise, z_x and z_y. Both are computed once."""
         if number not in self._fits:
             waves, mask = self.waves, self.mask[self.tiles[number]]
             normal = waves.normal(waves.products(mask), self.learned.noise)
@@ -401,9 +372,7 @@ class _Smoother:
 
     def smoothed(self, window: Array) -> Array:
         """Return z, u, v, w and their standard uncertainties, (8, ny, nx), at the middle of a window.
-
-        Nodes that are not measured, and windows across a jump of time, are returned unchanged.
-        """
+        Nodes that are not measured, and windows across a jump of time, are returned unchanged."""
         own = window[:8, self.steps]
         if (window[8] == JUMP_OF_TIME).any():
             return own.astype(np.float32)
@@ -423,10 +392,8 @@ class _Smoother:
 
     def _tile(self, number: int, fields: Array, variance: Array, there: Array, own: Array) -> Array:
         """Return z, u, v, w and their variances, (8, ny, nx), of rectangle `number` at the middle time.
-
         `there` (times, ny, nx) is True at measured nodes; `own` has the measured z, u, v, w at the middle
-        time.
-        """
+        time."""
         waves, learned, middle = self.waves, self.learned, self.steps
         posterior, covariance = self.fit_of(number)
         mask = self.mask[self.tiles[number]]

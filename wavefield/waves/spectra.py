@@ -59,9 +59,7 @@ Array = NDArray[Any]
 
 def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return E(k, omega) as given, or computed from a field, and an empty dict of parameters.
-
-    Raises CubeError for any other argument; `name` is the name of the estimator, for the message.
-    """
+    Raises CubeError for any other argument; `name` is the name of the estimator, for the message."""
     if is_field(given):
         return komega(given), {}
     if isinstance(given, xr.Dataset) and "E" in given and {"omega", "k"} <= {*given["E"].dims}:
@@ -79,9 +77,7 @@ def _name(field: xr.DataArray) -> str:
 
 def _transform(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
     """Return the spatial transform of half a segment of a field, (cells, steps), under the name ``f``.
-
-    Empties `blocks`, and writes into the array ``f`` of `memory` if it has one.
-    """
+    Empties `blocks`, and writes into the array ``f`` of `memory` if it has one."""
     return {"f": transform_space(blocks.pop(), memory.get("f"))}
 
 
@@ -89,9 +85,7 @@ def _add_powers(
     sums: dict[str, Array], first: dict[str, Array], second: dict[str, Array], begin: int
 ) -> None:
     """Transform the segment made of the halves `first` and `second` in time, and add its power to `sums`.
-
-    ``sums["power"]`` is (cells, n). `begin` is not used.
-    """
+    ``sums["power"]`` is (cells, n). `begin` is not used."""
     cells, half = first["f"].shape
     power = np.zeros((cells, 2 * half), first["f"].real.dtype)
     transform = TimeTransform(half, first["f"].dtype)
@@ -102,10 +96,8 @@ def _add_powers(
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
     """Convert the power on kx >= 0, (cells, n), to omega >= 0 on the whole k plane, (n // 2 + 1, ny, nx).
-
     In the result, kx and ky ascend, and k points where waves go: numpy's transform has cos(k . x - omega t)
-    at (k, -omega). Values between frequency 0 and Nyquist are doubled, to account for omega < 0.
-    """
+    at (k, -omega). Values between frequency 0 and Nyquist are doubled, to account for omega < 0."""
     n = power.shape[-1]
     power = power.reshape(ny, nx // 2 + 1, n)
     columns = np.arange(nx)
@@ -179,9 +171,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
 
 def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dataset:
     """Return a spectrum (omega, ky, kx) as a Dataset ``E`` with coordinates and degrees of freedom.
-
-    `values` is the spectrum; `name` and `units` are those of the field.
-    """
+    `values` is the spectrum; `name` and `units` are those of the field."""
     low, high = interval(welch.dof)
     parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}
     out = xr.Dataset(parts, coords=omega_coords(welch.omega) | welch.plane, attrs=welch.attrs)
@@ -212,18 +202,14 @@ def total(density: xr.DataArray) -> xr.DataArray:
 
 def _transform_and_points(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
     """Return the spatial transform ``f`` of half a segment, and ``points``, the field at 16 nodes.
-
-    ``f`` is (cells, steps) and ``points`` (nodes, steps).
-    """
+    ``f`` is (cells, steps) and ``points`` (nodes, steps)."""
     points = some_nodes(blocks[0])
     return {"f": transform_space(blocks.pop(), memory.get("f")), "points": points}
 
 
 def _transform_and_nodes(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
     """Return the arrays of `_transform_and_points`, and ``nodes``, the field at all nodes.
-
-    ``nodes`` is (pairs, steps): the values of two nodes are the real and imaginary parts of one number.
-    """
+    ``nodes`` is (pairs, steps): the values of two nodes are the real and imaginary parts of one number."""
     flat = blocks[0].reshape(blocks[0].shape[0], -1)
     pairs = np.ascontiguousarray(flat[:, : flat.shape[1] // 2 * 2])  # an odd node is left out
     nodes = pairs.view(np.result_type(pairs.dtype, np.complex64)).T
@@ -232,9 +218,7 @@ def _transform_and_nodes(blocks: list[Array], link: Link, memory: dict[str, Arra
 
 def _powers_of_nodes(first: Array, second: Array) -> Array:
     """Return the power of a segment for omega >= 0, summed over nodes, (n // 2 + 1,).
-
-    `first` and `second` are its halves (pairs, steps), with two nodes in one complex number.
-    """
+    `first` and `second` are its halves (pairs, steps), with two nodes in one complex number."""
     half = first.shape[1]
     transform, sums = TimeTransform(half, first.dtype), np.zeros((CELLS, 2 * half))
     for slab in slabs(first.shape[0]):
@@ -248,10 +232,8 @@ def _add_ring_powers(
     table: rings.Rings, sums: dict[str, Array], first: dict[str, Array], second: dict[str, Array], begin: int
 ) -> None:
     """Add the power of a segment, summed over the cells of each ring, to ``sums["f"]``.
-
     The segment consists of the halves `first` and `second`, and begins at step `begin`. Fourier lines of its
-    ``points`` are added to `sums`, and the power of its ``nodes`` if it has them.
-    """
+    ``points`` are added to `sums`, and the power of its ``nodes`` if it has them."""
     cells, half = first["f"].shape
     power = sums.setdefault("f", np.zeros((2, table.k.size, half + 1)))
     transform = TimeTransform(half, first["f"].dtype)
@@ -434,11 +416,9 @@ PLANE = {"omega", "ky", "kx"}
 
 def plane_of(field: str, segment: int | None = None) -> Convert:
     """Return a function that converts the argument of an estimator to E(omega, ky, kx).
-
     The argument is a spectrum, a result of `spectrum`, a field or a cube. From a cube, the spectrum of the
     variable `field` is computed. The function also returns stored parameters: depth, surface tension and
-    degrees of freedom.
-    """
+    degrees of freedom."""
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
         water: dict[str, Any] = (
@@ -464,9 +444,7 @@ def plane_of(field: str, segment: int | None = None) -> Convert:
 
 def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> xr.DataArray:
     """Return E(omega, ky, kx) of the field `name`, z or w, from the sums of an analysis.
-
-    Removes the power from `sums` to free memory.
-    """
+    Removes the power from `sums` to free memory."""
     power = sums.pop(f"map {name}")  # frees memory: no other product needs it
     values = xr.Variable(("omega", "ky", "kx"), density(power, welch))
     return plane_density(values, FIELD_TEXTS[name], FIELD_UNITS[name], welch)["E"]
@@ -474,17 +452,13 @@ def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> 
 
 def _sum_of_lines(w: xr.DataArray) -> xr.DataArray:
     """Return the sum of E(omega, ky, kx) of w over omega, (ky, kx).
-
-    It is much smaller than the spectrum, for products that are computed on workers.
-    """
+    It is much smaller than the spectrum, for products that are computed on workers."""
     return w.sum("omega")
 
 
 def map_lines(welch: Welch, frequencies: Sequence[float]) -> list[int]:
     """Return the indices of the spectral lines nearest to the given frequencies, Hz, without repetition.
-
-    The line at frequency 0, and frequencies from the line below Nyquist on, are left out.
-    """
+    The line at frequency 0, and frequencies from the line below Nyquist on, are left out."""
     lines = welch.omega / (2 * np.pi)
     return sorted({int(np.abs(lines - f).argmin()) for f in frequencies if f < lines[-2]} - {0})
 

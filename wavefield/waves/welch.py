@@ -37,9 +37,7 @@ def hann(n: int) -> np.ndarray:
 
 def hann_power(distance: np.ndarray) -> np.ndarray:
     """Return the power that a wave contributes to a spectral line under a Hann window.
-
-    `distance` is that between wave and line, in lines; at distance 0 the power is 1.
-    """
+    `distance` is that between wave and line, in lines; at distance 0 the power is 1."""
     off = np.where(np.abs(np.abs(distance) - 1) < 1e-9, 0.0, 1 - distance**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         amplitude = np.where(off == 0, 0.5, np.sinc(distance) / off)
@@ -54,10 +52,8 @@ def segment_count(steps: int, segment: int) -> int:
 
 def choose_segment(steps: int) -> int:
     """Return the default length of a segment, steps, for a run of `steps` steps.
-
     It is a quarter of the run, but at most 512 steps and at least 64 (or the whole run), rounded down to an
-    even number with a fast Fourier transform.
-    """
+    even number with a fast Fourier transform."""
     longest = min(DEFAULT_SEGMENT, max(steps // 4, min(64, steps)))
     even = longest - longest % 2
     while even > 4 and fft.next_fast_len(even // 2, real=True) != even // 2:
@@ -67,9 +63,7 @@ def choose_segment(steps: int) -> int:
 
 def overlap_factor(segments: float) -> float:
     """Return the variance of a mean over half-overlapping Hann segments, as a multiple.
-
-    It is relative to the variance for as many independent segments (Welch 1967).
-    """
+    It is relative to the variance for as many independent segments (Welch 1967)."""
     return 1 + 2 * (1 - 1 / segments) / 36
 
 
@@ -80,9 +74,8 @@ def degrees_of_freedom(segments: float) -> float:
 
 def effective_duration(segments: float, length: float) -> float:
     """Return the effective duration of half-overlapping segments, in the unit of `length`.
-
-    It is (int w)^2 / int w^2, where w is the sum of the squared windows and `length` the length of a segment.
-    """
+    It is (int w)^2 / int w^2, where w is the sum of the squared windows and `length` the length of a
+    segment."""
     return length * 18 * segments**2 / (38 * segments - 3)
 
 
@@ -103,11 +96,9 @@ def richardson_lucy(
     rounds: int,
 ) -> np.ndarray:
     """Deconvolve a spectrum: return a non-negative one that the window turns into `measured`.
-
     `estimate` is the spectrum to begin with, and `rounds` the number of iterations (Richardson 1972).
     ``through_window(estimate)`` blurs a spectrum by the window. ``corrected(estimate, ratio)`` multiplies the
-    estimate by the ratio of the measured to the blurred spectrum, averaged over the window.
-    """
+    estimate by the ratio of the measured to the blurred spectrum, averaged over the window."""
     for _ in range(rounds):
         estimate = corrected(estimate, measured / through_window(estimate))
     return estimate
@@ -122,9 +113,7 @@ Sums = dict[str, np.ndarray]  # transforms of half a segment, or sums over segme
 
 def segment_length(record: Record, segment: int | None) -> int:
     """Return the length of a segment, steps; by default that of `choose_segment`.
-
-    Raises CubeError if it is odd, less than 8, or longer than the longest run of the record.
-    """
+    Raises CubeError if it is odd, less than 8, or longer than the longest run of the record."""
     longest = record.longest
     if segment is None:
         segment = choose_segment(longest)
@@ -152,10 +141,8 @@ def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
     """Return what must be read for the steps a to b (excluded) of a run.
-
     The results are slices of time, y and x that include a margin for filling gaps; a mask of the missing
-    steps among those read; and the slice of a to b within them.
-    """
+    steps among those read; and the slice of a to b within them."""
     bridged = np.asarray(record.bridged, int)
     reach = FILL_MARGIN if record.holes or bridged.size else 0
     lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
@@ -200,9 +187,7 @@ class Reader:
 
 def cut_chains(record: Record, segment: int) -> list[list[Link]]:
     """Divide the segments of a record into chains of at most `CHAIN_LENGTH` consecutive segments.
-
-    A chain is a list of half segments, and successive segments share a half.
-    """
+    A chain is a list of half segments, and successive segments share a half."""
     half = segment // 2
     out = []
     for run in record.runs:
@@ -221,11 +206,9 @@ def sum_chain(
     links: Sequence[Link],
 ) -> Sums:
     """Read a chain half segment by half segment, and return the sums over its segments.
-
     ``transform(blocks, link, memory)`` transforms the fields of a half; it may overwrite the arrays in
     ``memory``. ``accumulate(sums, first, second, begin)`` adds the segment that consists of two halves and
-    begins at step ``begin``.
-    """
+    begins at step ``begin``."""
     sums: Sums = {}
     previous: Sums = {}
     oldest: Sums = {}
@@ -241,10 +224,8 @@ def sum_segments(
     arrays: Sequence[xr.DataArray], record: Record, segment: int, transform: Any, accumulate: Any
 ) -> Any:
     """Return a Dask delayed object that computes the sums over all segments of a record.
-
     `transform` and `accumulate` are those of `sum_chain`. Stored fields are read half a segment at a time,
-    and Dask arrays a chain at a time.
-    """
+    and Dask arrays a chain at a time."""
 
     def work(transform: Any, parts: Sequence[xr.DataArray], first: int, links: Sequence[Link]) -> Sums:
         return sum_chain(Reader(parts, record, first=first), transform, accumulate, links)
@@ -287,9 +268,7 @@ def some_nodes(block: np.ndarray) -> np.ndarray:
 
 def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
     """Return the Hann-windowed spatial transform of a block (steps, ny, nx), (cells, steps).
-
-    The cells are those of ky x (kx >= 0), flattened. The transform is written into `out` if given.
-    """
+    The cells are those of ky x (kx >= 0), flattened. The transform is written into `out` if given."""
     steps, ny, nx = block.shape
     window = spatial_window(ny, nx).astype(block.dtype)
     shape = steps, ny, nx // 2 + 1
@@ -312,9 +291,7 @@ def slabs(cells: int) -> Iterator[slice]:
 
 class TimeTransform:
     """Transforms segments in time, for a slab of cells at once, in arrays that are allocated once.
-
-    `half` is the number of steps in half a segment, and `names` the number of results to hold at a time.
-    """
+    `half` is the number of steps in half a segment, and `names` the number of results to hold at a time."""
 
     def __init__(self, half: int, dtype: np.dtype, names: int = 1) -> None:
         dtype = np.dtype(dtype)
@@ -325,10 +302,8 @@ class TimeTransform:
 
     def __call__(self, first: np.ndarray, second: np.ndarray, name: int = 0) -> np.ndarray:
         """Return the Hann-windowed transform (cells, n) of a segment, without its mean and trend.
-
         `first` and `second` are its halves (cells, n / 2). The next call with the same `name`, an index,
-        overwrites the result.
-        """
+        overwrites the result."""
         cells = first.shape[0]
         halves = [part[: self.half * cells].reshape(self.half, cells) for part in self.halves]
         for part, given in zip(halves, (first, second)):
@@ -379,9 +354,7 @@ class Welch:
         record: Record | None = None,
     ) -> "Welch":
         """Return the estimator for fields over (time, y, x).
-
-        Without `record`, it is found from the fields; without `segment`, its default length is used.
-        """
+        Without `record`, it is found from the fields; without `segment`, its default length is used."""
         record = find_record(fields) if record is None else record
         length = segment_length(record, segment)
         return cls(record, length, frames_of(fields), depth=water_of(fields.attrs)[0])
@@ -415,17 +388,13 @@ class Welch:
     @property
     def duration(self) -> float:
         """Effective duration of the record, s.
-
-        It accounts for the windows, which give the ends of each run less weight.
-        """
+        It accounts for the windows, which give the ends of each run less weight."""
         return effective_duration(self.count, self.segment * self.record.dt)
 
     @property
     def density(self) -> float:
         """Factor from |F|^2 to a two-sided spectrum per (rad/m)^2 and rad/s.
-
-        |F|^2 is the power of the windowed transform, summed over segments.
-        """
+        |F|^2 is the power of the windowed transform, summed over segments."""
         record = self.record
         energy = window_energy(self.segment, *record.shape)
         return record.dt * record.dy * record.dx / ((2 * np.pi) ** 3 * energy * self.count)
@@ -433,10 +402,8 @@ class Welch:
     @property
     def node_density(self) -> float:
         """Factor from |F|^2 to E(omega).
-
         |F|^2 is the one-sided power of the transforms in time of pairs of nodes, summed over segments and
-        pairs.
-        """
+        pairs."""
         ny, nx = self.record.shape
         window = float((hann(self.segment) ** 2).sum()) * self.count
         return self.record.dt / (2 * np.pi * window * (ny * nx // 2 * 2))
@@ -444,9 +411,7 @@ class Welch:
     @property
     def ring_density(self) -> float:
         """Factor from |F|^2 to E(k, omega).
-
-        |F|^2 is the power of the windowed transform, summed over segments and over the cells of a ring.
-        """
+        |F|^2 is the power of the windowed transform, summed over segments and over the cells of a ring."""
         ny, nx = self.record.shape
         cell = (2 * np.pi) ** 2 / (ny * self.record.dy * nx * self.record.dx)
         return self.density * cell / self.table.dk
@@ -461,10 +426,8 @@ class Welch:
     @property
     def valid(self) -> NDArray[np.bool_]:
         """Mask (omega, k), True where E(k, omega) is reliable.
-
         It is False within the main lobe of the mean in omega and in k, at the Nyquist frequency, and in rings
-        that reach beyond the Nyquist wavenumbers.
-        """
+        that reach beyond the Nyquist wavenumbers."""
         nyquist = np.pi / max(self.record.dy, self.record.dx)
         table = self.table
         in_k = (table.k > MAIN_LOBE * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
@@ -472,22 +435,18 @@ class Welch:
 
     def over_filled(self, energy: Any, added: float) -> Any:
         """Return a mask (omega, k), True where E(k, omega) exceeds four times the error of filled nodes.
-
         `energy` is E(k, omega), and `added` what this error adds to E(omega). The error is taken as white in
-        the k plane.
-        """
+        the k plane."""
         plane = 2 * np.pi * self.table.k * self.table.coverage
         white = added * plane * self.record.dy * self.record.dx / (2 * np.pi) ** 2
         return energy > MIN_OVER_FILLED * white
 
     def freedom(self, sums: Array) -> Array:
         """Return the degrees of freedom (rings, n // 2 + 1) of E(k, omega).
-
         `sums` (2, rings, n // 2 + 1) is the result of `kernels.ring_powers`. The result is nu (sum A_c E_c)^2
         / sum A_c E_c^2 (rho^2 A)_c over the cells c of a ring, with the degrees of freedom nu of a cell, area
         shares A, energies E and squared correlations rho^2 between cells. E_c^2 is <|F_c|^4> / 2, as for
-        Gaussian waves.
-        """
+        Gaussian waves."""
         power, square = sums[0], sums[1]
         filled = power > 0
         spread = np.divide(self.count * square, power**2, out=np.zeros_like(power), where=filled)
@@ -525,9 +484,7 @@ class Welch:
 
 def with_stated(given: Any) -> Any:
     """Return a field or cube in which `path_frames` and water properties are coordinates.
-
-    Attributes of these names are moved to coordinates. Any other object is returned unchanged.
-    """
+    Attributes of these names are moved to coordinates. Any other object is returned unchanged."""
     if not isinstance(given, xr.DataArray | xr.Dataset):
         return given
     out = given.copy(deep=False)
@@ -544,10 +501,9 @@ def with_stated(given: Any) -> Any:
 
 def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
     """Return `path_frames`, the number of frames from which each velocity was computed.
-
     It is 1 for instantaneous velocities, 2 for displacements between two frames, and 4, 6 or 7 for velocities
-    along paths. It is 2 if the fields do not state it. Raises CubeError if u, v, w, z_t state different ones.
-    """
+    along paths. It is 2 if the fields do not state it. Raises CubeError if u, v, w, z_t state different
+    ones."""
     fields = with_stated(fields)
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
@@ -564,9 +520,7 @@ def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
 
 def frames_of_meaning(*stated: str) -> int:
     """Return `path_frames` for velocities stated to be "displacement" (2) or "instantaneous" (1).
-
-    Raises CubeError for any other word, or for two different ones.
-    """
+    Raises CubeError for any other word, or for two different ones."""
     if len(stated) > 1 or stated[0] not in MEANINGS:
         raise CubeError(
             f"the velocities are stated to be {' and '.join(stated)}: state one of {', '.join(MEANINGS)}"
@@ -576,11 +530,9 @@ def frames_of_meaning(*stated: str) -> int:
 
 def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
     """Return the cube with the coordinate `path_frames` for the stated velocities, and a note.
-
     `meaning` is "displacement" or "instantaneous". With None the cube keeps what it states; if it states
     nothing, the note says that displacements are assumed. Otherwise the note is empty. Raises CubeError if
-    cube and `meaning` contradict each other.
-    """
+    cube and `meaning` contradict each other."""
     cube = with_stated(cube)
     arrays = [cube[name] for name in ("u", "v", "w") if name in cube]
     stated = "path_frames" in cube.coords or any(
@@ -603,8 +555,6 @@ def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
 
 def inner(lines: int) -> NDArray[np.bool_]:
     """Return a mask (lines,) of the spectral lines of E(omega) that are reliable.
-
-    These lie above the main lobe of the mean and below the Nyquist frequency.
-    """
+    These lie above the main lobe of the mean and below the Nyquist frequency."""
     index = np.arange(lines)
     return (index >= MAIN_LOBE) & (index < lines - 1)

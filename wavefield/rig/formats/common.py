@@ -30,10 +30,9 @@ class ImportOptions:
 
     def length(self, usual: str | None, stated: str = "") -> tuple[float, str]:
         """Return the size of the unit of length in metres, and its name.
-
         The unit is that of the user, else that which the file states (`stated`), else the program's usual
-        unit. If there is none, it is the metre, and the name is empty. Raises a RigError for an unknown unit.
-        """
+        unit. If there is none, it is the metre, and the name is empty. Raises a RigError for an unknown
+        unit."""
         unit = self.unit or stated.strip() or usual
         if unit is None:
             return 1.0, ""
@@ -50,9 +49,7 @@ class ImportOptions:
 
     def size(self, name: str, program: str, stored: tuple[float, float] | None = None) -> Size:
         """Return the (width, height) of a camera's image, px, from the user or else from the file (`stored`).
-
-        Raises a RigError if neither states it; `program` is named in the message.
-        """
+        Raises a RigError if neither states it; `program` is named in the message."""
         size = (self.sizes or {}).get(name) or stored
         if size is None:
             raise RigError(
@@ -63,9 +60,8 @@ class ImportOptions:
 
     def named(self, count: int, own: Sequence[str] | None = None) -> list[str]:
         """Return the names of `count` cameras: those of the user, else those of the file (`own`).
-
-        Without either, they are cam1, cam2, ... Raises a RigError if the user gave another number of names.
-        """
+        Without either, they are cam1, cam2, ... Raises a RigError if the user gave another number of
+        names."""
         if self.names is None:
             return list(own or (f"cam{n + 1}" for n in range(count)))
         if len(self.names) != count:
@@ -96,10 +92,8 @@ def rig_of_file(
     own: Sequence[str] | None = None,
 ) -> Rig:
     """Make a rig of the cameras that a file stores.
-
     `origin` names the program in error messages, and `note` is written to the provenance. The names `own`
-    that the file gives to its cameras are used unless the user gave names or two of them are equal.
-    """
+    that the file gives to its cameras are used unless the user gave names or two of them are equal."""
     if cameras[0].pose is FIRST_CAMERA:
         left_out = "no pose in the world: the frame is that of the first camera; level it on the water"
         note = {"left_out": left_out, **note}
@@ -117,9 +111,7 @@ def rig_of_file(
 
 def rotation_near(matrix: Array) -> Array:
     """Return the rotation (3, 3) nearest to a matrix that a file stores with rounding errors.
-
-    Raises a RigError if the matrix is not a rotation.
-    """
+    Raises a RigError if the matrix is not a rotation."""
     U, _, V = np.linalg.svd(matrix)
     nearest: Array = U @ V
     if not np.abs(nearest - matrix).max() < 1e-3 or np.linalg.det(nearest) < 0:
@@ -129,9 +121,7 @@ def rotation_near(matrix: Array) -> Array:
 
 def turned_about_axes(alpha: float, beta: float, gamma: float) -> Array:
     """Return the rotation R = Rz(gamma) Ry(beta) Rx(alpha); the angles are in radians.
-
-    VIC-3D, DICe and DaVis use this convention.
-    """
+    VIC-3D, DICe and DaVis use this convention."""
     about_x, about_y, about_z = (rotation_about(a * e) for a, e in zip((alpha, beta, gamma), np.eye(3)))
     turn: Array = about_z @ about_y @ about_x
     return turn
@@ -139,9 +129,7 @@ def turned_about_axes(alpha: float, beta: float, gamma: float) -> Array:
 
 def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[float]:
     """Return the numbers in the child element `tag` of an XML element.
-
-    Raises a RigError if the child is missing, is empty, or does not hold `count` numbers.
-    """
+    Raises a RigError if the child is missing, is empty, or does not hold `count` numbers."""
     element = parent.find(tag)
     if element is None or element.text is None:
         raise RigError(f"<{tag}> is missing")
@@ -153,9 +141,7 @@ def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[f
 
 def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
     """Raise a RigError if a camera has a lens term that the program does not support.
-
-    `terms` are the names of the distortion terms that it supports.
-    """
+    `terms` are the names of the distortion terms that it supports."""
     extra = [
         term
         for term in ("k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
@@ -170,10 +156,8 @@ def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
 
 def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
     """Return the two cameras of a rig, and the pose of the second in the frame of the first.
-
     The pose is a rotation (3, 3) and a translation (3,), metres. Raises a RigError if the rig has not two
-    cameras, or holds only their lenses.
-    """
+    cameras, or holds only their lenses."""
     if len(rig) != 2:
         raise RigError(f"{program} has two cameras, and this rig {len(rig)}: write OpenCV's file")
     if rig.lenses_alone:
@@ -185,9 +169,8 @@ def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
 
 def refuse_implausible(cameras: Sequence[StoredCamera], unit: str) -> None:
     """Raise a RigError if the unit of length is unknown and metres are implausible.
-
-    They are implausible if the cameras would be more than `MAX_DISTANCE` apart. `unit` is empty if unknown.
-    """
+    They are implausible if the cameras would be more than `MAX_DISTANCE` apart. `unit` is empty if
+    unknown."""
     centres = [-one.pose[0].T @ one.pose[1] for one in cameras]
     apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     if not unit and apart > MAX_DISTANCE:

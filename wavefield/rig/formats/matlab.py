@@ -26,9 +26,7 @@ from wavefield.rig.rig import Rig
 
 def load_matlab(path: Path, options: ImportOptions) -> Rig:
     """Read a .mat file of Bouguet's toolbox or of MATLAB's Camera Calibrator; returns the rig.
-
-    Raises a RigError if the file holds no calibration or is of version 7.3.
-    """
+    Raises a RigError if the file holds no calibration or is of version 7.3."""
     import scipy.io  # here, because the import takes half a second
 
     try:
@@ -81,9 +79,7 @@ def _world_units(data: object) -> str:
 
 def _bouguet(data: Mapping[str, Any], side: str) -> StoredCamera:
     """Read a camera of Bouguet's toolbox, which counts pixels from zero.
-
-    `side` is the ending of the variables' names: _left, _right or empty.
-    """
+    `side` is the ending of the variables' names: _left, _right or empty."""
     fx, fy = np.ravel(data[f"fc{side}"]).tolist()
     cx, cy = np.ravel(data[f"cc{side}"]).tolist()
     skew = float(np.ravel(data.get(f"alpha_c{side}", 0.0))[0]) * fx
@@ -94,9 +90,7 @@ def _bouguet(data: Mapping[str, Any], side: str) -> StoredCamera:
 
 def _struct(value: Mapping[str, Any]) -> StoredCamera:
     """Read a camera of MATLAB's Camera Calibrator, which counts pixels from one.
-
-    Older versions of MATLAB store the transposed camera matrix.
-    """
+    Older versions of MATLAB store the transposed camera matrix."""
     K = np.asarray(value["K"] if "K" in value else np.transpose(value["IntrinsicMatrix"]), float).copy()
     K[:2, 2] -= 1.0
     k = [*np.ravel(value["RadialDistortion"]).tolist(), 0.0, 0.0][:3]
@@ -107,10 +101,8 @@ def _struct(value: Mapping[str, Any]) -> StoredCamera:
 
 def save_matlab(rig: Rig, path: Path) -> None:
     """Write a rig of two cameras as stereo results of Bouguet's toolbox, with lengths in metres.
-
     MATLAB's `stereoParametersFromOpenCV` takes the same numbers: KK_left, kc_left, KK_right, kc_right, R, T.
-    Raises a RigError if there are not two cameras, or if their images differ in size.
-    """
+    Raises a RigError if there are not two cameras, or if their images differ in size."""
     import scipy.io  # here, because the import takes half a second
 
     one, two, R, T = as_pair(rig, "MATLAB")

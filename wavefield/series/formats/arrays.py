@@ -58,9 +58,7 @@ class _Dataset:
 
 def _times(data: h5py.Dataset) -> Times:
     """Return the times of images, (count,), s; empty if the file has none with a known unit.
-
-    They are the coordinate of the first dimension (netCDF), or else the dataset `time` of the same group.
-    """
+    They are the coordinate of the first dimension (netCDF), or else the dataset `time` of the same group."""
     scales = [scale for scale in data.dims[0].values() if scale.ndim == 1]
     in_folder = data.parent.get("time")
     for stored in (*scales, in_folder):
@@ -79,11 +77,9 @@ def _rate(times: Times) -> float | None:
 
 def open_hdf5(path: Path) -> Recording:
     """Open a stack of images in an HDF5 file; FrameError if the file or the dataset cannot be read.
-
     `path` is the file, or file/dataset if it holds several stacks. Times are read from the coordinate of the
     first dimension, else from a dataset ``time`` in the same group. Their attribute ``units`` must be a unit
-    of time ("s", "ms since ..."). The rate is the attribute ``frame_rate``, else derived from the times.
-    """
+    of time ("s", "ms since ..."). The rate is the attribute ``frame_rate``, else derived from the times."""
     import h5py
 
     name = next(part for part in (path, *path.parents) if part.suffix.lower() in _ENDINGS)
@@ -102,10 +98,8 @@ def open_hdf5(path: Path) -> Recording:
 
 def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
     """Return a dataset of an open HDF5 file: the dataset named `inside`, or the only stack of images.
-
     `inside` is empty if the user names no dataset; `path` is the file, named in messages. FrameError if the
-    file holds no stack of that name, or without a name not exactly one stack.
-    """
+    file holds no stack of that name, or without a name not exactly one stack."""
     import h5py
 
     series: list[str] = []
@@ -132,9 +126,7 @@ def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
 
 class ZarrImages:
     """A Zarr array (image, row, column) on a disk or in an object store.
-
-    `path` is a path or an address. FrameError if there is no such array.
-    """
+    `path` is a path or an address. FrameError if there is no such array."""
 
     def __init__(self, path: str) -> None:
         self.path, self._array = path, _open_zarr(path)
@@ -153,9 +145,7 @@ class ZarrImages:
 
 def _open_zarr(path: str) -> Any:
     """Return the Zarr array at a path or address; of a Zarr group, return its array ``image``.
-
-    FrameError if it cannot be opened or does not have three dimensions.
-    """
+    FrameError if it cannot be opened or does not have three dimensions."""
     import zarr  # takes long, for the few who have such images
 
     folder = Path(path)

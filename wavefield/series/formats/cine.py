@@ -69,10 +69,8 @@ def open_cine(path: Path) -> Recording:
 
 def _times(stream: BinaryIO, at_setup: int, at_offsets: int) -> NDArray[np.float64]:
     """Return the times of the images of an open cine file, (n,), s; empty if the file has none.
-
     `at_setup` and `at_offsets` are the positions, in bytes, of the file's block SETUP and of its list of
-    images.
-    """
+    images."""
     stream.seek(at_setup + _MARK)
     mark = stream.read(4)
     place = at_setup + int.from_bytes(mark[2:], "little")

@@ -10,9 +10,7 @@ from wavefield.series.formats.recording import Pixels, Recording, no_times, refu
 
 class _Set:
     """A `Recording` that consists of one image of each buffer (.im7 file) of a DaVis set.
-
-    `frame` is the index, from 0, of this image in every buffer.
-    """
+    `frame` is the index, from 0, of this image in every buffer."""
 
     def __init__(self, path: Path, buffers: list[Path], frame: int) -> None:
         self.path, self._buffers, self._frame = path, buffers, frame
@@ -33,10 +31,8 @@ class _Set:
 
 def open_davis(path: Path) -> Recording:
     """Open a DaVis set, ``run.set``, or ``run.set/1`` for the second image of each of its buffers.
-
     FrameError if buffers are missing or damaged, or if the buffers have several images and the path does not
-    tell which one to read.
-    """
+    tell which one to read."""
     name = path if path.suffix.lower() == ".set" else path.parent
     folder = name.with_suffix("")
     buffers = _in_order(list(folder.glob("*.im7")))
@@ -53,10 +49,8 @@ def open_davis(path: Path) -> Recording:
 
 def _in_order(buffers: list[Path]) -> list[Path]:
     """Return the paths of buffers sorted by the number at the end of their names.
-
     A number that is missing in between gets the path that its file should have, so that reading it fails. If
-    a name does not end in a number of up to six digits, all are sorted as text.
-    """
+    a name does not end in a number of up to six digits, all are sorted as text."""
     ends = [re.search(r"(?<!\d)\d{1,6}$", path.stem) for path in buffers]
     numbered = {int(end[0]): path for end, path in zip(ends, buffers) if end}
     if not buffers or len(numbered) < len(buffers):

@@ -28,10 +28,8 @@ _XML = {
 
 def open_photron(path: Path) -> Recording:
     """Open a recording of a Photron camera by the path of its .mraw, .cihx or .cih file.
-
     FrameError if the pixels (.mraw) or the header (.cihx or .cih) are missing or damaged, or if the images
-    are not grey.
-    """
+    are not grey."""
     note = _with_ending(path, ".cihx", ".cih", ".CIHX", ".CIH")
     if note is None:
         raise FrameError(f"{path} has no .cihx or .cih next to it, which states how large its images are")
@@ -84,9 +82,7 @@ def _read_text(path: Path) -> dict[str, str]:
 
 def _read_xml(path: Path) -> dict[str, str]:
     """Return the entries of a .cihx file as text; the keys are the names that a .cih file uses.
-
-    FrameError if the XML is damaged.
-    """
+    FrameError if the XML is damaged."""
     data = path.read_bytes()
     xml = re.search(rb"<cih>.*</cih>", data, re.DOTALL)
     if not xml:

@@ -97,10 +97,8 @@ class RawRecording:
 
 def usual_intervals(times: Times) -> Times:
     """Return the intervals between successive times, s, without those across dropped images.
-
     They are the intervals that differ from the median interval by less than half of it. The array is empty if
-    the median is not positive.
-    """
+    the median is not positive."""
     intervals = np.diff(times)
     middle = float(np.median(intervals)) if len(intervals) else 0.0
     return intervals[np.abs(intervals / middle - 1.0) < 0.5] if middle > 0 else np.empty(0)
@@ -120,9 +118,7 @@ def refuse_index(index: int, count: int, path: Path) -> None:
 
 def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
     """Return (rows, columns) from the `width` and `height` in a file's header, px.
-
-    FrameError if one of them is not between 1 and 65536, as in a damaged header.
-    """
+    FrameError if one of them is not between 1 and 65536, as in a damaged header."""
     if not (0 < width <= 65536 and 0 < height <= 65536):
         raise FrameError(f"{path} has images of {width} x {height} px by its header, which is damaged")
     return height, width
@@ -130,9 +126,7 @@ def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
 
 def complete_images(path: Path, count: int, start: Callable[[int], int], each: int) -> int:
     """Return how many of the `count` images of a file are complete; FrameError if none is.
-
-    `start` gives the byte at which an image begins, `each` is the number of bytes of an image.
-    """
+    `start` gives the byte at which an image begins, `each` is the number of bytes of an image."""
     complete = bisect_right(range(count), path.stat().st_size, key=lambda index: start(index) + each)
     if not complete:
         raise FrameError(f"{path} holds not one complete image: it is empty or truncated")
@@ -143,11 +137,9 @@ def pixels(
     shape: tuple[int, int], bits: int, *, upside_down: bool = False
 ) -> tuple[Callable[[Stream], Pixels], int]:
     """Return a function that reads an image from an open file, and the number of bytes per image.
-
     `shape` is (rows, columns), `bits` the bits per pixel. Pixels of 8 or 16 bits take one or two bytes;
     others are packed without gaps, highest bit first. `upside_down` says that the file begins with the lowest
-    row (without effect on packed pixels).
-    """
+    row (without effect on packed pixels)."""
     count = shape[0] * shape[1]
     size = (count * bits + 7) // 8
 

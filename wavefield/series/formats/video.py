@@ -20,9 +20,7 @@ UNTIMED = (".avi",)  # containers without presentation times: compressed frames 
 
 class Video:
     """The frames of a video as a `Recording`; frames that the container marks as not shown are left out.
-
-    FrameError if the file cannot be read as a video.
-    """
+    FrameError if the file cannot be read as a video."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.first = path, 0
@@ -82,9 +80,7 @@ class Video:
 
     def _rate(self, times: Times) -> float | None:
         """Return the frames per second, from `times`, s, with four digits, or else as the container states.
-
-        None if neither is known.
-        """
+        None if neither is known."""
         if self._timed and self.count > 1:
             return float(f"{1 / usual_interval(times):.4g}")
         return float(self._stream.guessed_rate or self._stream.average_rate or 0) or None
@@ -107,16 +103,12 @@ class Video:
 
     def _key(self, stamp: int) -> int:
         """Return the time of the last key frame at or before `stamp`; both are in ticks of the container.
-
-        A key frame is coded without reference to other frames.
-        """
+        A key frame is coded without reference to other frames."""
         return max((pts for pts, _ in self._keys if pts <= stamp), default=self._stamps[0])
 
     def _seek(self, stamp: int) -> None:
         """Move to the last key frame at or before the time `stamp`, in ticks of the container.
-
-        If the frames have no times, or moving fails, go back to the first frame.
-        """
+        If the frames have no times, or moving fails, go back to the first frame."""
         key = dict(self._keys).get(self._key(stamp))
         if not self._timed or key is None:
             self._rewind()
@@ -143,9 +135,7 @@ class Video:
 
 def _luminance(frame: Any) -> NDArray[Any]:
     """Return the stored luminance of a decoded frame, (row, column), as 8 or 16 bits.
-
-    RGB and palette images are converted to grey.
-    """
+    RGB and palette images are converted to grey."""
     form = frame.format
     if form.is_rgb or form.has_palette:
         return grey(frame.to_ndarray(format="rgb24"))
