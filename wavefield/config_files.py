@@ -362,7 +362,8 @@ def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool
 
 
 def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
-    """Return the words for an error of pydantic; `kinds` are the sections that could have the key."""
+    """Return the message to the user for one error of pydantic, without the name of the key.
+    `kinds` are the types of section that may stand where the wrong key is; they give the known keys."""
     sort, message = problem["type"], str(problem["msg"])
     if sort in _UNKNOWN:
         known = list(dict.fromkeys(name for member in kinds for name in _fields(member)))

@@ -262,7 +262,7 @@ def _correlated_groups(
 
 def _joined(matches: Sequence[Instant]) -> list[_Match]:
     """Join the matches of all instants, for each pair of cameras.
-    Of more than `MAX_MATCHES` matches, only every nth is kept."""
+    If a pair has more than `MAX_MATCHES`, they are thinned evenly to at most that many."""
     out = []
     for pair in dict.fromkeys(pair for one in matches for pair in one):
         parts = [(number, one[pair]) for number, one in enumerate(matches) if pair in one]

@@ -278,7 +278,8 @@ def _middles_filled(level: PlateLevel, centre: Array) -> bool:
 
 
 def _other_dots(level: PlateLevel, centre: Array) -> Array:
-    """Return the dots (n, 2), px, in the area of a level that do not belong to it."""
+    """Return the dots in the area of `level` that are not dots of this level, (m, 2), px.
+    `centre` (n, 2) holds all dots found."""
     distance, _ = cKDTree(level.pixel).query(centre)
     rest = centre[distance > 0.1 * level.side]
     if not len(rest):

@@ -279,7 +279,8 @@ class NodePanel:
             self._show_probe_spectrum(near, float(1 / found.frequency[0]))
 
     def _show_probe_spectrum(self, near: NearProbe, segment_s: float) -> None:
-        """Draw the spectrum of the probe's elevation during the cube, with segments of `segment_s`, s."""
+        """Draw the spectrum of the probe's elevation during the cube's time span.
+        The segments last `segment_s`, s."""
         time, t = self._record.time, near.probe.time.values
         within = (t >= time[0]) & (t <= time[-1])
         values = near.probe.elevation.values[within] * display("z").factor

@@ -328,7 +328,7 @@ class LookPage:
         self.map.layout.title.text = f"{what}, t = {record.time[place.step]:.3f} s{status}"
 
     def _show_view(self) -> None:
-        """Draw the open one of the tabs `TABS`, except for the map, which `_show_map` draws."""
+        """Draw the tab of `TABS` that is open; the map is drawn by `_show_map`."""
         if self.place.tab in self._views:
             self._views[self.place.tab]().show(self.place)
             self._show_corners()

@@ -227,7 +227,8 @@ def round_down(value: float) -> float:
 
 
 def densities(values: ArrayLike, bins: np.ndarray) -> np.ndarray:
-    """Return the probability density (n,) of finite values, of any shape, in bins with edges (n + 1,)."""
+    """Return the probability density (n,) of the finite `values` in bins with the edges `bins` (n + 1,).
+    Values outside the bins count in the norm."""
     finite = np.asarray(values, float).ravel()
     finite = finite[np.isfinite(finite)]
     counts, _ = np.histogram(finite, bins)

@@ -542,7 +542,8 @@ def _scores_of_pixels(
     splines: tuple[Array, ...], slopes: tuple[Array, ...], b: Array, y: np.float32, to: tuple[Array, ...]
 ) -> None:
     """Write gx r and gy r of each pixel of a row to the two arrays `to`.
-    The other arguments, and the residual r, are described in `_residual_row`."""
+    They are the residual r times the brightness gradient (gx, gy) of the first image. The other arguments are
+    as for `_residual_row`."""
     s, d = splines
     ux, uy, vx, vy = slopes
     along, down = to

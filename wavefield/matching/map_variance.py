@@ -26,13 +26,13 @@ MIN_WAVE_FRACTION = 1e-3  # lower bound of the fraction that is waves, which kee
 
 
 class PosteriorVariance:
-    """Variance of the MAP field on a lattice (ny, nx), in two parts: noise, and waves that are missing.
-    Missing waves are those that the prior suppresses. Let A be the information (inverse variance) of a block,
-    F its footprint and S the spectrum. If A is uniform, a mode has the posterior variance 1 / (F^2 A + 1/S):
-    F^2 A / (F^2 A + 1/S)^2 is noise, 1/S / (F^2 A + 1/S)^2 missing waves. If A varies, each block gets the
-    variances for the mean of A around it, weighted by the squared impulse response of the estimate. Inside
-    holes, the missing waves are raised to those of a field which is known only at the rim
-    (`hole_variance`)."""
+    """Variance of the MAP field on a lattice (ny, nx), in two parts: from noise, and from suppressed waves.
+    The second part is the variance of the waves that the prior suppresses. Let A be the information (inverse
+    variance) of a block, F its footprint and S the spectrum. If A is uniform, a mode has the posterior
+    variance 1 / (F^2 A + 1/S): F^2 A / (F^2 A + 1/S)^2 is from noise, and 1/S / (F^2 A + 1/S)^2, times the
+    expected fraction of waves in S, from suppressed waves. If A varies, each block gets the variances for the
+    mean of A around it, weighted by the squared impulse response of the estimate. Inside holes, the second
+    part is at least that of a field which is known only at the rim (`hole_variance`)."""
 
     def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
         kx, ky = wavenumbers(shape)

@@ -180,9 +180,9 @@ def pair_misfits(found: xr.Dataset) -> Figure:
 
 def pair_differences(found: xr.Dataset) -> Figure:
     """Draw the distributions of differences between pairs of cameras in z, dx, dy and dz, px.
-    `found` is `Run.pair_statistics`. Aubourg et al. (2019) show the same differences between three pairs, and
-    the difference between z from two pairs together and z from the third pair. The mean over time at each
-    node is not subtracted."""
+    The panel of z also shows z of a pair computed from two other pairs, minus z measured directly. `found` is
+    `Run.pair_statistics`. The mean over time at each node is not subtracted. The figure corresponds to that
+    of Aubourg et al. (2019)."""
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     figure, axes = panels(2, 2, height=4.8)
     _draw(axes[0, 0], found, ("z", "z_recombined"), per_metre, "difference of z px")

@@ -126,9 +126,9 @@ def _draw_strings(target: Strings, s: Array, t: Array, blur: float) -> NDArray[n
 
 
 def _undo_offsets(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple[Array, Array]:
-    """Return which points of a perfect target appear at (x, y) when its crossings have position errors.
-    x, y (any shape), the position errors `offsets` (n, n, 3) and both results are in units of the mesh.
-    `mesh` is in m. `own` is the camera in the axes of the target."""
+    """Return the points of the perfect pattern that appear at x, y if crossings are displaced by `offsets`.
+    x, y (any shape) are on the plane of the target. They, `offsets` (n, n, 3) and both results are in units
+    of the mesh, whose size is `mesh`, m. `own` is the camera in the axes of the target."""
     half = offsets.shape[0] // 2
     lean_x, lean_y = own.sight_line(x * mesh, y * mesh)
     s, t = x, y

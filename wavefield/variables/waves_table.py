@@ -207,7 +207,7 @@ GROUPS = {
     "coherence": "The rate of rise z_t + U . grad z is compared with each `term`: `w`, `nl`"
     " (-(u - U) . grad z) and their sum `tot`. `gamma2` is the squared coherence. For unrelated signals its"
     " mean is 1 / `samples`, and it exceeds `level` in 5 % of cases.",
-    "kinematics": "The kinematic condition z_t = w - u . grad z at sampled steps.",
+    "kinematics": "How well the fields satisfy the kinematic condition z_t = w - u . grad z.",
     "statistics": "Distributions and moments of z and of the displacements over one step.",
     "dispersion": "Without a fitted current, this group contains only the theory.",
     "fusion": "Noise of stereo z and of integrated w, and their best combination.",

@@ -274,9 +274,10 @@ def elevation_density(
 
 
 def resolved_frequencies(density: xr.DataArray, depth: float, gamma: float) -> Array:
-    """Return the middles of the frequency bands, Hz, that segment and grid of E(omega, ky, kx) resolve.
-    They begin at 0.5 Hz, or at three lines of the spectrum, and are 0.1 Hz or one line apart. `depth` is in
-    m, and `gamma` is the surface tension over density, m3/s2."""
+    """Return the middles of the frequency bands, Hz, that the spectrum E(omega, ky, kx) resolves.
+    The first is at 0.5 Hz or three frequency lines, the spacing is 0.1 Hz or one line, whichever is larger.
+    The last is below 0.9 of the highest line, and below the frequency of the shortest waves that the grid
+    resolves. `depth` is in m; `gamma` is the surface tension over density, m3/s2."""
     lines = density["omega"].values / (2 * np.pi)
     shortest = dispersion(SHORTEST_WAVES * _largest_k(density), depth, gamma) / (2 * np.pi)
     return np.arange(max(LOWEST_HZ, 3 * lines[1]), min(shortest, 0.9 * lines[-1]), max(STEP_HZ, lines[1]))
@@ -335,8 +336,8 @@ def _directions(
 ) -> xr.Dataset:
     """Return the result of `directions` for E(omega, ky, kx) with `dof` degrees of freedom in each cell.
     If `dof` is None, uncertainties are NaN. `frequency` holds the middles of the bands, Hz; `water` the
-    depth, m, and the surface tension over density, m3/s2; `current` is in m/s. Raise CubeError if there is no
-    frequency or the spectrum ends below one."""
+    depth, m, and the surface tension over density, m3/s2; `current` is in m/s. Raise CubeError if
+    `frequency` is empty or has a value above the highest frequency of the spectrum."""
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
     if not frequency.size:

@@ -251,8 +251,9 @@ class _Noise:
 
 
 def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
-    """Return the noise of z and of the elevation from w, and white fits to both.
-    The noise is the energy that z and w do not share: S_zz - Re S_zw for z, and S_ww - Re S_zw for w."""
+    """Return the noise of z and of the elevation from w, and fits in which those of z and of w dt are white.
+    The noise is the energy that z and w do not share. Without gains it is S_zz - Re S_zw for z, and
+    S_ww - Re S_zw for w. With gains, the shared energy is S_zw / gain_zw times the gain of z or of w."""
     omega, k = spectra.omega, spectra.k
     use = (np.arange(omega.size) >= MIN_LINES) & (omega < 0.95 * omega[-1])
     # rings with too small a gain still contain some waves: there, the noise is taken away from free waves
@@ -526,9 +527,10 @@ def _fused(
 
 
 def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str, float]) -> xr.Dataset:
-    """Return the elevation spectra by method for the group `spectra` of `analyze`.
-    `filled` is the error in E(omega) of z and of w due to interpolated nodes. ``valid_Ez`` becomes false
-    where the spectrum is less than four times this error."""
+    """Return the elevation spectra by method (`METHODS`) for the group `spectra` of `analyze`.
+    `filled` is, for z and for w, the error in E(omega) due to interpolated nodes. z or w fails at an omega
+    where its E(omega), from `ring`, is not above four times its error. ``valid_Ez`` is then false for the
+    methods that need it: the cross spectrum needs both, the fused one at least one."""
     out = fused[BY_SOURCE].copy()
     step = float(ring["k"][1] - ring["k"][0])
     over_k = {name: ring["E"].sel(quantity=name).sum("k").values * step for name in NAMES}

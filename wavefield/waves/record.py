@@ -411,8 +411,8 @@ def _rectangle(
 
 
 def _never_masked(cube: xr.Dataset | xr.DataArray, valid_nodes: _ValidNodes) -> np.ndarray:
-    """Return a mask (ny, nx) of the nodes that ``quality`` marks as masked at no step.
-    Masked nodes are not water, and must not be filled."""
+    """Return (ny, nx), True for nodes that ``quality`` marks as masked at no step.
+    Without ``quality``, all are True. Masked nodes are not water, and must not be filled."""
     out = np.ones(valid_nodes.shape, bool)
     if isinstance(cube, xr.Dataset) and "quality" in cube:
         for steps, there in valid_nodes:

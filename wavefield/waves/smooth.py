@@ -118,9 +118,9 @@ class PlaneWaves:
         return np.asarray((flat @ self.basis.T).reshape(*each.shape[:2], *self.shape))
 
     def transposed(self, weighted: Array) -> Array:
-        """Apply the transpose of `fields` to an array (fields, times, ny, nx).
-        Returns the inner product of the array with the response to each unknown, real then imaginary
-        parts."""
+        """Apply the transpose of the linear map `fields` to `weighted`, (4, times, ny, nx) like its result.
+        The result has one value per unknown: first for the real parts, then for the imaginary parts. Each is
+        the inner product of `weighted` with the fields that a unit of this unknown gives."""
         sums = weighted.reshape(-1, self.basis.shape[0]) @ self.basis
         real, imaginary = np.split(sums.reshape(*weighted.shape[:2], -1), 2, axis=-1)
         out = ((real + 1j * imaginary)[..., self.vector] * self.response).sum(axis=(0, 1))

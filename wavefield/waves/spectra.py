@@ -76,8 +76,9 @@ def _name(field: xr.DataArray) -> str:
 
 
 def _transform(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
-    """Return the spatial transform of half a segment of a field, (cells, steps), under the name ``f``.
-    Empties `blocks`, and writes into the array ``f`` of `memory` if it has one."""
+    """Transform half a segment of a field in space; return it as ``f``, (cells, steps). `link` is not used.
+    `blocks` holds that half segment as its only array, which is removed. If `memory` has an array ``f``, the
+    result is written into it."""
     return {"f": transform_space(blocks.pop(), memory.get("f"))}
 
 
@@ -452,7 +453,7 @@ def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> 
 
 def _sum_of_lines(w: xr.DataArray) -> xr.DataArray:
     """Return the sum of E(omega, ky, kx) of w over omega, (ky, kx).
-    It is much smaller than the spectrum, for products that are computed on workers."""
+    Products that are computed on workers take it instead of the spectrum, which is much larger."""
     return w.sum("omega")
 
 
