@@ -24,10 +24,7 @@ from filelock import FileLock, Timeout
 from wavefield.errors import StoreError
 
 _DRAFT = ".wavefield-"  # start of the name of a folder with an unfinished output
-_REMOVALS, _PAUSE = (
-    50,
-    0.05,
-)  # attempts, and seconds between: Zarr needs less to end writing a chunk
+_REMOVALS, _PAUSE = 50, 0.05  # attempts, and seconds between; Zarr writes a chunk in less
 _DRAFT_NOTE = "unfinished output of wavefield: the next command that writes in this folder removes it\n"
 _MARK = re.compile(rb"\n(?:# |<!-- )wavefield ([a-z ]+) ([0-9a-f]{16}) ([0-9a-f]{32})(?: -->)?\n\Z")
 _MARK_BYTES = 200  # a mark is shorter
@@ -219,12 +216,21 @@ def _draft_folder(path: Path) -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder and its content; try again for some seconds while threads of Zarr write into it."""
+    """Remove a folder and its content, also if a signal interrupts; then raise the interruption.
+    Tries again for some seconds, since threads of Zarr may still write into the folder."""
+    stop: BaseException | None = None
     for _ in range(_REMOVALS):
-        shutil.rmtree(folder, ignore_errors=True)
-        if not folder.exists():
-            break
-        time.sleep(_PAUSE)
+        try:
+            shutil.rmtree(folder, ignore_errors=True)
+            if not folder.exists():
+                break
+            time.sleep(_PAUSE)
+        except KeyboardInterrupt as interruption:
+            stop = interruption
+        except OSError as error:  # interrupted, rmtree may close a folder twice
+            stop = error.__context__ or error
+    if stop is not None:
+        raise stop
 
 
 def _put_back(folder: Path, path: Path) -> None:
