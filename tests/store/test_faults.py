@@ -1,5 +1,6 @@
 """Faults that once destroyed data or were not noticed, each in the smallest case that shows it."""
 
+import errno
 import json
 import os
 import resource
@@ -15,6 +16,7 @@ import xarray as xr
 import yaml
 
 import wavefield as wf
+from wavefield import atomic_write
 from wavefield.commands.cli import main
 from wavefield.errors import StoreError
 from wavefield.pipeline.catalog import catalog_add, find_cube
@@ -144,6 +146,29 @@ def test_a_killed_writer_leaves_nothing_after_the_next_command(lab):
     writer.stdout.close()
     assert command("export", "cube.zarr", "z.nc") == 0
     assert not list(lab.glob(".wavefield-*"))
+
+
+@pytest.mark.parametrize("closed_twice", [False, True])
+def test_a_signal_while_a_draft_is_removed_leaves_nothing_and_still_stops(
+    tmp_path, monkeypatch, closed_twice
+):
+    remove = atomic_write.shutil.rmtree
+    calls = []
+
+    def interrupted(folder, **options):
+        calls.append(folder)
+        if len(calls) == 1:
+            try:
+                raise KeyboardInterrupt
+            finally:
+                if closed_twice:
+                    raise OSError(errno.EBADF, "Bad file descriptor")
+        remove(folder, **options)
+
+    monkeypatch.setattr(atomic_write.shutil, "rmtree", interrupted)
+    with pytest.raises(KeyboardInterrupt), atomic_write.atomic(tmp_path / "x.txt") as draft:
+        draft.write_text("whole")
+    assert not list(tmp_path.glob(".wavefield-*"))
 
 
 @pytest.mark.slow
