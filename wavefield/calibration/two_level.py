@@ -317,8 +317,9 @@ def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
 def _numbered(
     image: Image, marked: PlateLevel, second: PlateLevel, marks: tuple[PlateAxes, Nodes], target: Target
 ) -> TargetPoints:
-    """Return the target points of both levels, with indices in meshes from the origin.
-    `marks` are the axes and the nodes of the level `marked` that marks replace; these nodes are left out."""
+    """Return the target points of both levels; their indices count meshes from the origin.
+    `marks` are the axes of the plate, and the nodes of the level `marked` where a mark stands in place of a
+    dot. These nodes are left out."""
     (origin, x, y), replaced = marks
     no_mark = ~(marked.node[:, None] == replaced).all(2).any(1)
 

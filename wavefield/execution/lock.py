@@ -23,9 +23,9 @@ class Lock:
     @classmethod
     @contextmanager
     def hold(cls, store: Path) -> Iterator["Lock"]:
-        """Context manager: hold the lock of a store, as a file next to it, and remove the file at the end.
-        StoreError if another run holds the lock (without waiting), or if a file that is no lock has its
-        name."""
+        """Context manager: lock a store by a file next to it, and remove that file at the end.
+        StoreError at once if another run holds the lock, or if the file's name belongs to a file that is no
+        lock."""
         path = store.with_name(f".{store.name}.lock")
         lock = FileLock(path, timeout=0)
         with writing(store):

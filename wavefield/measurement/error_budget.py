@@ -240,10 +240,10 @@ def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
 
 
 def bead_tilt(rise: Float, step: float, height: float) -> Float:
-    """Return the motion of beads relative to the water as the surface tilts, (2, ny, nx), metres per step.
-    The components are along x and y. A point at the height h above the surface, along its normal, moves by -h
-    d(grad z)/dt more than the water. `rise` (ny, nx) of the surface per step, the `step` of the grid and
-    `height` are in metres."""
+    """Return how far beads move relative to the water as the surface tilts, m per time step, (2, ny, nx).
+    The components are along x and y. A bead at `height` (m) along the normal moves by -`height` times the
+    change of grad z per time step. `rise` (ny, nx) is the change of z per time step, m; `step` is the spacing
+    of the grid, m."""
     along_y, along_x = np.gradient(rise, step)
     return np.nan_to_num(-height * np.stack([along_x, along_y]))
 

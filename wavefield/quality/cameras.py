@@ -149,7 +149,7 @@ def _sampled(image: NDArray[np.generic] | None, column: Image, row: Image) -> Im
 
 
 def middle(patches: Image) -> Image:
-    """Return the patches (n, SIDE, SIDE) without the search margins of (n, WHOLE, WHOLE)."""
+    """Return the middles (n, SIDE, SIDE) of patches (n, WHOLE, WHOLE), without their search margins."""
     return patches[:, REACH : REACH + SIDE, REACH : REACH + SIDE]
 
 

@@ -126,9 +126,10 @@ def transforms(
 
 def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Array]:
     """Return the arrays of zeros, by name, to which `add_segment` adds.
-    `half` is the transform of half a segment, (cells, n / 2). There are sums over rings (2, rings, n / 2 + 1)
-    for each quantity and each pair "a*b", "squares a*b" (rings, n / 2 + 1) for each pair, and "map <name>"
-    (cells, n) for each of the requested planes."""
+    `half` is the transform of half a segment of n steps, (cells, n / 2). Each quantity has sums over rings of
+    its power and squared power, each pair "a*b" of its real and imaginary part, (2, rings, n / 2 + 1).
+    "squares a*b" (rings, n / 2 + 1) holds sums of |a|^2 |b|^2, "map <name>" (cells, n) single cells, for each
+    of ``requested.planes``."""
     cells, steps = half.shape
     names = (*requested.names, *(f"{a}*{b}" for a, b in requested.pairs))
     sums = {name: np.zeros((2, table.k.size, steps + 1)) for name in names}

@@ -96,7 +96,7 @@ def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
 
 
 def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return a cube and an empty dict of parameters, or raise CubeError if it is not a cube.
+    """Return `given`, if it is a cube, and an empty dict of parameters; else raise CubeError.
     `name` is the name of the estimator, for the message."""
     if isinstance(given, str | Path):
         raise CubeError(f"{name} needs a cube, not its path; use wavefield.open_cube({str(given)!r})")

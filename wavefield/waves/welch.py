@@ -401,9 +401,8 @@ class Welch:
 
     @property
     def node_density(self) -> float:
-        """Factor from |F|^2 to E(omega).
-        |F|^2 is the one-sided power of the transforms in time of pairs of nodes, summed over segments and
-        pairs."""
+        """Factor from the power P of all nodes to E(omega).
+        P is the one-sided power of the transforms in time, summed over segments and nodes."""
         ny, nx = self.record.shape
         window = float((hann(self.segment) ** 2).sum()) * self.count
         return self.record.dt / (2 * np.pi * window * (ny * nx // 2 * 2))
