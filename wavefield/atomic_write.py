@@ -5,7 +5,9 @@ digest of its content. An existing file is replaced only by output of the same k
 only if its content is unchanged since wavefield wrote it.
 """
 
+import atexit
 import errno
+import functools
 import hashlib
 import json
 import os
@@ -202,7 +204,9 @@ def _draft_folder(path: Path) -> Iterator[Path]:
     """Context manager: yield a new, locked folder next to `path` for an unfinished output.
     It first removes such folders that killed processes have left. At the end the folder is removed."""
     remove_leftovers(path)
-    folder = path.with_name(f"{_DRAFT}{uuid.uuid4().hex}")  # named before a signal may interrupt
+    folder = path.with_name(f"{_DRAFT}{uuid.uuid4().hex}")
+    at_exit = functools.partial(shutil.rmtree, folder, ignore_errors=True)
+    atexit.register(at_exit)  # a signal may arrive between two lines of this function
     try:
         folder.mkdir(mode=0o700)
         with FileLock(folder / "lock"):
@@ -213,6 +217,7 @@ def _draft_folder(path: Path) -> Iterator[Path]:
                 _put_back(folder, path)
     finally:
         _remove(folder)
+    atexit.unregister(at_exit)  # after an error threads may still write into the folder: it is removed again
 
 
 def _remove(folder: Path) -> None:

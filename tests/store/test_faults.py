@@ -171,6 +171,20 @@ def test_a_signal_while_a_draft_is_removed_leaves_nothing_and_still_stops(
     assert not list(tmp_path.glob(".wavefield-*"))
 
 
+def test_a_draft_whose_removal_a_signal_prevents_is_removed_when_the_process_ends(tmp_path):
+    program = """if True:
+        from wavefield import atomic_write
+        def interrupted(folder):
+            raise KeyboardInterrupt
+        atomic_write._remove = interrupted
+        with atomic_write.atomic("x.txt") as draft:
+            draft.write_text("whole")
+    """
+    ended = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    assert "KeyboardInterrupt" in ended.stderr
+    assert [file.name for file in tmp_path.iterdir()] == ["x.txt"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_command_that_is_ended_by_a_signal_removes_what_it_began(lab, name):

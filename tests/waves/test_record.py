@@ -132,11 +132,12 @@ def test_what_is_masked_for_a_few_steps_is_not_filled_but_left_out(sea):
     assert record.holes == 0
 
 
-def test_nodes_missing_at_random_cost_no_step_and_leave_the_spectrum():
+@pytest.mark.parametrize("fraction", [1e-5, 0.2])
+def test_nodes_missing_at_random_cost_no_step_and_leave_the_spectrum(fraction):
     seed = 70510
     sea = Sea(seed=seed, highest=3.5, noise=5e-5, shape=(160, 48, 64), waves=250, depth=0.7, slope=6)
     whole = sea.cube(("z",)).z
-    missing = xr.DataArray(np.random.default_rng(seed).random(sea.shape) < 0.2, dims=whole.dims)
+    missing = xr.DataArray(np.random.default_rng(seed).random(sea.shape) < fraction, dims=whole.dims)
     holed = whole.where(~missing)
     record = wv.find_record(holed)
     assert record.shape == (48, 64)

@@ -24,7 +24,7 @@ from wavefield.errors import RigError
 from wavefield.rig import Rig
 from wavefield.rig.lens import Array
 from wavefield.rig.stereo import epipolar_distance
-from wavefield.rig.water_level import OUTLIER_DEVIATIONS, level
+from wavefield.rig.water_level import MAX_DEVIATIONS, level
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, masks
 from wavefield.text import spell_uncertain
@@ -170,7 +170,7 @@ def _best_fit(
         return free, std, "no horizon was found, so the mean surface is the level"
     fit = fit_platform(free, matches, horizons, distance)
     apart = _angle(fit.up, free.up)
-    if apart > max(OUTLIER_DEVIATIONS * np.nan_to_num(std[0], nan=TILT_STD), TILT_STD):
+    if apart > max(MAX_DEVIATIONS * np.nan_to_num(std[0], nan=TILT_STD), TILT_STD):
         sentence = (
             f"an edge like a horizon in {', '.join(horizons)} is {apart:.1f} degrees off the mean surface "
             "and was not used: the mean surface is the level"

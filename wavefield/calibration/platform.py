@@ -21,7 +21,7 @@ from wavefield.rig import Camera
 from wavefield.rig.field import MAX_DISTANCE_RATIO
 from wavefield.rig.lens import Array
 from wavefield.rig.stereo import epipolar_distance
-from wavefield.rig.water_level import OUTLIER_DEVIATIONS
+from wavefield.rig.water_level import MAX_DEVIATIONS
 from wavefield.robust import robust_std
 
 EARTH_RADIUS = 6.371e6 / 0.87  # m; refraction by air acts as if the Earth were larger (Bomford 1980)
@@ -242,7 +242,7 @@ def _correlated_groups(
     for one in _joined(matches):
         one = _on_water(fit, one)
         _, along, per_metre = _along_and_across(fit, one)
-        limit = OUTLIER_DEVIATIONS * robust_std(along / per_metre)
+        limit = MAX_DEVIATIONS * robust_std(along / per_metre)
         elevation = np.clip(along / per_metre, -limit, limit)
         cell = np.clip(one.a / fit.cameras[one.pair[0]].size * CELLS, 0, CELLS - 1).astype(int)
         place = (number[one.instant] * CELLS + cell[:, 1]) * CELLS + cell[:, 0]

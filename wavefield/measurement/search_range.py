@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import cv2
@@ -224,20 +225,22 @@ def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, Firs
 
 
 Images = Mapping[str, NDArray[Any] | None]
+SEARCHED_STEPS = 2  # sample steps in which search ranges are found
 
 
-def search_widened(pairs: Sequence[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
+def search_widened(pairs: Iterable[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
     """Return the geometry with search ranges that suit some frames; the same object if they suffice.
-    `pairs` are the first and second frames of some steps, by camera; only the first frames give elevations.
-    Ranges that the user has set in the settings are not changed."""
+    `pairs` are the first and second frames of sample steps, by camera, of which the first two steps are
+    searched; only first frames give elevations. Ranges that the user has set are not changed."""
+    searched_pairs = list(islice(pairs, SEARCHED_STEPS))
 
     def read(name: str, frame: int) -> NDArray[Any] | None:
-        image = pairs[frame // 2][frame % 2].get(name)
+        image = searched_pairs[frame // 2][frame % 2].get(name)
         if image is None or not usable(image, geometry.rig[name].size):
             return None
         return np.asarray(ready(image, geometry.sights[name].binning))
 
-    first_frames = [2 * k for k in range(len(pairs))]
+    first_frames = [2 * k for k in range(len(searched_pairs))]
     settings = geometry.settings
     if searched(settings) == searched(Settings()):
         settings = wide_enough(settings, first_guess(read, geometry.velocity_cameras, first_frames))

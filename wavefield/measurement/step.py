@@ -59,7 +59,6 @@ Mask = NDArray[np.bool_]
 # Version of the measurement, part of every cube's recipe. Raise it with every change that alters the values
 # of a cube. A cube that was begun with another version is then not continued.
 ALGORITHM = 46
-SEARCHED_STEPS = 2  # sample steps in which search ranges are found, if no model is given
 MIN_MEASURED = 0.05  # least fraction of measured nodes in view; below, a step has no values
 
 
@@ -130,7 +129,7 @@ def measure(
     if model is None:
         samples = [1 + k for k in sample_steps(steps + 2)]
         pairs = [_pair(frames, k) for k in samples]
-        geometry = search_widened(pairs[:SEARCHED_STEPS], geometry)
+        geometry = search_widened(pairs, geometry)
         record = learn(pairs, geometry, [_pair(masks, k) for k in samples] if masks else None, 1, frame_rate)
         if record is None:
             return out

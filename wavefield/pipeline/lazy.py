@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 # Longer chunks share the cost of their five extra frames; shorter ones make single steps available earlier
 STEPS_PER_TASK = 24
-SEARCHED_STEPS = 2  # sample steps from which search ranges are found
 
 
 @dataclass(frozen=True)
@@ -298,7 +297,7 @@ class _Learner:
 
         geometry, learned = self.geometry, self.record
         if learned is None:  # otherwise the settings contain the search ranges, as those of the earlier cube
-            geometry = search_widened(list(map(both_frames, pairs[:SEARCHED_STEPS])), geometry)
+            geometry = search_widened(map(both_frames, pairs), geometry)
             learned = learn_from(pairs, geometry, self.frame_rate)
         return geometry, Model(geometry, LearnedRecord.from_dict(learned)) if learned else None
 

@@ -12,7 +12,7 @@ from wavefield.robust import reweighted_lstsq, robust_std
 
 MAX_TILT = 10.0  # degrees; a frame that is tilted more than this is not that of a target, but of a camera
 MIN_POINTS = 10  # of the water, about three times the parameters of a plane
-OUTLIER_DEVIATIONS = 4.0  # robust standard deviations from the plane
+MAX_DEVIATIONS = 4.0  # robust standard deviations from the plane
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,11 @@ def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
 
     # a fit of least absolute residuals finds the outliers; least squares fits the other points
     _, residual = reweighted_lstsq(design, height, np.ones(len(height)), least_absolute, 20)
-    inlier = np.abs(residual) <= OUTLIER_DEVIATIONS * robust_std(residual) + 1e-12
+    inlier = np.abs(residual) <= MAX_DEVIATIONS * robust_std(residual) + 1e-12
     for _ in range(10):
         solution = np.linalg.lstsq(design[inlier], height[inlier], rcond=None)[0]
         residual = height - design @ solution
-        new = np.abs(residual) <= OUTLIER_DEVIATIONS * robust_std(residual[inlier]) + 1e-12
+        new = np.abs(residual) <= MAX_DEVIATIONS * robust_std(residual[inlier]) + 1e-12
         if (new == inlier).all():
             break
         inlier = new

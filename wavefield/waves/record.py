@@ -17,7 +17,7 @@ from wavefield.variables import CUBE_DIMS, TABLE, FrameStatus, Quality, factor
 
 Array = NDArray[Any]
 
-FILL_MARGIN = 8  # steps before and after a gap from which it is filled; a larger margin changes nothing
+FILL_MARGIN = 8  # steps and nodes around a gap from which it is filled; a larger margin changes nothing
 FLOOR = 1e-8  # smallest power in the prior spectrum, relative to the largest; regularises noise-free fields
 # conjugate-gradient steps; with 20 % of the nodes missing at random, more steps change nothing
 ITERATIONS = 12
@@ -26,14 +26,20 @@ ROUNDS = 3  # alternations between the prior spectrum and the filled values; a f
 
 def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
     """Return a block (steps, ny, nx) with the most probable values at missing steps and NaN nodes.
-    `missing` (steps,) marks the missing steps. A complete block is returned as it is."""
+    `missing` (steps,) marks the missing steps. A complete block is returned as it is. A few gaps are each
+    filled from their surroundings, many of them from all steps near them at once."""
     if not missing.any() and all_finite(block):
         return block
     hole = ~np.isfinite(block) | missing[:, None, None]
-    at = np.flatnonzero(hole.any(axis=(1, 2)))
-    near = slice(max(at[0] - FILL_MARGIN, 0), at[-1] + FILL_MARGIN + 1)
+    side = 2 * FILL_MARGIN + 1
+    if 4 * np.count_nonzero(hole) * side**3 < hole.size:
+        boxes = ndimage.find_objects(ndimage.label(ndimage.maximum_filter(hole, side))[0])
+    else:
+        at = np.flatnonzero(hole.any(axis=(1, 2)))
+        boxes = [(slice(max(at[0] - FILL_MARGIN, 0), at[-1] + FILL_MARGIN + 1),)]
     out = block.copy()
-    out[hole] = most_probable(block[near], hole[near])
+    for box in boxes:
+        out[box][hole[box]] = most_probable(block[box], hole[box])
     return out
 
 
