@@ -68,7 +68,7 @@ def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array
 
     for _ in range(2):  # triangulation minimises distances on the plane z = 0; minimise them in pixels
         residual = misfit(point).reshape(len(point), -1)
-        point = point + solve_displacement(jacobians(cameras, *point.T), residual)[0]
+        point = point + solve_displacement(jacobians(cameras, *point.T), residual)
     return point[:, 0], point[:, 1], point[:, 2], misfit(point)
 
 

@@ -1,14 +1,11 @@
 """Points and displacements in space from those in the images of several cameras."""
 
-import math
 from collections.abc import Sequence
+from itertools import combinations_with_replacement
 
 import numpy as np
-from numba import float64, void
-from numba.core.types import Array as ArrayType
 from numpy.typing import ArrayLike
 
-from wavefield.compiled import compiled
 from wavefield.rig.camera import Camera
 from wavefield.rig.lens import Array
 from wavefield.rig.rig import Rig
@@ -17,9 +14,8 @@ from wavefield.rig.rig import Rig
 def triangulate(apparent: ArrayLike, sight: ArrayLike) -> tuple[Array, Array, Array, Array]:
     """Find the points x, y, z (...), metres, nearest to the sight lines of N cameras by least squares.
     Camera k sees the point on the line x = x_k + D_k z. `apparent` holds x_k, the apparent positions on z =
-    0, metres, and `sight` holds D_k, the sight-line coefficients; both are (N, 2, ...), NaN if a camera does
-    not see the point. The last result holds the residuals (N, 2, ...), metres on z = 0. NaN if
-    undetermined."""
+    0, metres, and `sight` the sight-line coefficients D_k; both are (N, 2, ...), NaN if a camera does not see
+    the point. The last result holds the residuals (N, 2, ...), metres on z = 0. NaN if undetermined."""
     p, D = np.asarray(apparent, float), np.asarray(sight, float)
     visible = np.isfinite(p).all(1) & np.isfinite(D).all(1)
     weight = np.where(visible, 1.0, 0.0)[:, None]
@@ -47,91 +43,29 @@ def jacobians(cameras: Sequence[Camera], x: ArrayLike, y: ArrayLike, z: ArrayLik
     return out
 
 
-_inputs = [ArrayType(float64, axes, "A", readonly=True) for axes in (3, 2, 2, 2)]
-
-
-@compiled(void(*_inputs, float64[:, ::1], float64[:, ::1]))
-def _solve(jacobian: Array, observed: Array, weight: Array, noise: Array, out: Array, std: Array) -> None:
-    """Solve the weighted 3 x 3 normal equations of each point.
-    Fills `out` (n, 3), the solutions, and `std` (n, 3), their standard uncertainties, in place. `noise` holds
-    the variances of the observations."""
-    for n in range(observed.shape[0]):
-        a = b = c = d = e = f = 0.0  # normal matrix [[a, b, c], [b, d, e], [c, e, f]]
-        p = q = r = 0.0
-        rows = 0
-        for i in range(observed.shape[1]):
-            s, w = observed[n, i], weight[n, i]
-            if not (np.isfinite(s) and w > 0.0 and np.isfinite(jacobian[n, i, 0])):
-                continue
-            rows += 1
-            j0, j1, j2 = jacobian[n, i, 0], jacobian[n, i, 1], jacobian[n, i, 2]
-            w0, w1, w2 = w * j0, w * j1, w * j2
-            a += w0 * j0
-            b += w0 * j1
-            c += w0 * j2
-            d += w1 * j1
-            e += w1 * j2
-            f += w2 * j2
-            p += w0 * s
-            q += w1 * s
-            r += w2 * s
-        # Cholesky decomposition; after a small pivot the cameras do not determine a direction
-        ok = rows >= 3 and a > 0.0
-        if ok:
-            lb, lc = b / a, c / a
-            d1, e1 = d - b * lb, e - b * lc
-            ok = d1 > 1e-9 * d
-            if ok:
-                le = e1 / d1
-                f1 = f - c * lc - e1 * le
-                ok = f1 > 1e-9 * f
-        if not ok:
-            for k in range(3):
-                out[n, k] = np.nan
-                std[n, k] = np.nan
-            continue
+def solve_displacement(jacobian: ArrayLike, displacement: ArrayLike) -> Array:
+    """Find the displacement d in space (..., 3), metres, from the displacements in the images of N cameras.
+    d minimises |J d - dX|^2, where J is `jacobian` (..., 2N, 3), px per metre, and dX is `displacement`
+    (..., 2N), px, of which the rows that are not finite are left out. NaN if undetermined."""
+    J, dX = np.broadcast_arrays(np.asarray(jacobian, float), np.asarray(displacement, float)[..., None])
+    seen = np.isfinite(dX[..., 0]) & np.isfinite(J[..., 0])
+    j0, j1, j2 = np.moveaxis(np.where(seen[..., None], J, 0.0), (-2, -1), (1, 0))
+    s = np.moveaxis(np.where(seen, dX[..., 0], 0.0), -1, 0)
+    # normal equations [[a, b, c], [b, d, e], [c, e, f]] (x, y, z) = (p, q, r)
+    a, b, c, d, e, f = (sum(m * n) for m, n in combinations_with_replacement((j0, j1, j2), 2))
+    p, q, r = (sum(m * s) for m in (j0, j1, j2))
+    with np.errstate(divide="ignore", invalid="ignore"):  # Cholesky decomposition
+        lb, lc = b / a, c / a
+        d1, e1 = d - b * lb, e - b * lc
+        le = e1 / d1
+        f1 = f - c * lc - e1 * le
         q1 = q - lb * p
         z = (r - lc * p - le * q1) / f1
         y = q1 / d1 - le * z
         x = p / a - lb * y - lc * z
-        out[n, 0], out[n, 1], out[n, 2] = x, y, z
-        vx = vy = vz = 0.0
-        for i in range(observed.shape[1]):
-            if np.isfinite(observed[n, i]) and weight[n, i] > 0.0 and np.isfinite(jacobian[n, i, 0]):
-                j0, j1, j2 = jacobian[n, i, 0], jacobian[n, i, 1], jacobian[n, i, 2]
-                w = weight[n, i]
-                w0, w1, w2 = w * j0, w * j1, w * j2
-                w1 -= lb * w0
-                kz = (w2 - lc * w0 - le * w1) / f1
-                ky = w1 / d1 - le * kz
-                kx = w0 / a - lb * ky - lc * kz
-                vx += kx * kx * noise[n, i]
-                vy += ky * ky * noise[n, i]
-                vz += kz * kz * noise[n, i]
-        std[n, 0], std[n, 1], std[n, 2] = np.sqrt(vx), np.sqrt(vy), np.sqrt(vz)
-
-
-def solve_displacement(
-    jacobian: ArrayLike, displacement: ArrayLike, std: ArrayLike | None = None, noise: ArrayLike | None = None
-) -> tuple[Array, Array]:
-    """Find the displacement d in space from the displacements dX in the images of N cameras.
-    d minimises sum (J d - dX)^2 / std^2, where J is `jacobian` (..., 2N, 3), px per metre, dX is
-    `displacement` (..., 2N), px, and `std` (..., 2N) is in px. Returns d (..., 3), metres, and its standard
-    uncertainty. This follows from `noise` (..., 2N), the standard uncertainty of dX in px, or from `std` if
-    there is none. NaN if undetermined."""
-    J, observed = np.asarray(jacobian, float), np.asarray(displacement, float)
-    with np.errstate(divide="ignore"):
-        weight = np.ones(1) if std is None else 1.0 / np.square(np.asarray(std, float))
-        variance = 1.0 / weight if noise is None else np.square(np.asarray(noise, float))
-    shape = np.broadcast_shapes(J.shape[:-2], *(f.shape[:-1] for f in (observed, weight, variance)))
-    count, rows = math.prod(shape), observed.shape[-1]
-    weight, variance, observed = (
-        np.broadcast_to(f, (*shape, rows)).reshape(count, rows) for f in (weight, variance, observed)
-    )
-    J = np.broadcast_to(J, (*shape, rows, 3)).reshape(count, rows, 3)
-    d, d_std = np.empty((count, 3)), np.empty((count, 3))
-    _solve(J, observed, weight, variance, d, d_std)
-    return d.reshape(*shape, 3), d_std.reshape(*shape, 3)
+    # after a small pivot the cameras do not determine a direction
+    ok = (seen.sum(axis=-1) >= 3) & (a > 0.0) & (d1 > 1e-9 * d) & (f1 > 1e-9 * f)
+    return np.where(ok[..., None], np.stack([x, y, z], axis=-1), np.nan)
 
 
 def parallax(rig: Rig, pair: tuple[str, str], x: ArrayLike, y: ArrayLike) -> Array:
@@ -145,8 +79,7 @@ def epipolar_distance(
     a: Camera, b: Camera, Xa: ArrayLike, Ya: ArrayLike, Xb: ArrayLike, Yb: ArrayLike
 ) -> Array:
     """Return the signed distances (n,) of pixels in image b from the epipolar lines of their matches, px.
-    (Xa, Ya) are the matching pixels in image a, and (Xb, Yb) those in image b. Lens distortion is taken into
-    account."""
+    (Xa, Ya) are the matching pixels in image a, (Xb, Yb) those in image b; lenses may distort."""
     xa = np.stack([*a.tangents(Xa, Ya), np.ones(np.shape(Xa))])
     Xb, Yb = np.asarray(Xb, float), np.asarray(Yb, float)
     xb = np.stack([*b.tangents(Xb, Yb), np.ones(np.shape(Xb))])
