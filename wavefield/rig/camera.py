@@ -160,22 +160,12 @@ class Camera:
     # -- physical frame <-> pixels --------------------------------------------------------------------
 
     def tangents(self, X: ArrayLike, Y: ArrayLike) -> tuple[Array, Array]:
-        """Return the tangents of the viewing angles of pixels, without lens distortion.
-
-        Parameters
-        ----------
-        X, Y : array_like
-            Pixel coordinates (column, row).
-
-        Returns
-        -------
-        a, b : ndarray
-            xc / zc and yc / zc of points that project to these pixels.
-        """
+        """Return the tangents a = xc / zc, b = yc / zc of points that project to pixels X, Y (column, row).
+        They are the tangents of the viewing angles, without lens distortion."""
         return self._to_tangents(*np.broadcast_arrays(np.asarray(X, float), np.asarray(Y, float)))
 
     def project(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array]:
-        """Project physical points onto the sensor.
+        """Project points x, y, z, metres, onto the sensor.
 
         Parameters
         ----------
@@ -191,8 +181,8 @@ class Camera:
         return self._to_pixels(a, b)
 
     def _tangents_of(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return the tangents a, b of physical points, and the points' depth zc, metres.
-        The depth is along the optical axis. All three results are NaN for points behind the camera."""
+        """Return the tangents a, b of physical points, and their depth zc along the optical axis, metres.
+        All three results are NaN for points behind the camera."""
         x, y, z = np.asarray(x, float), np.asarray(y, float), np.asarray(z, float)
         (r1, r2, r3), (r4, r5, r6), (r7, r8, r9) = self.rotation
         tx, ty, tz = self.translation
@@ -283,19 +273,8 @@ class Camera:
         return out
 
     def corners(self, z: float = 0.0) -> Array:
-        """Return the points where the sight lines of the image's corners meet the plane of height z.
-
-        Parameters
-        ----------
-        z : float, default 0
-            Height of the plane, metres.
-
-        Returns
-        -------
-        ndarray, (4, 2)
-            (x, y), metres, of the image's upper left, upper right, lower right and lower left corner; NaN
-            for a corner above the horizon.
-        """
+        """Return the corners of the image on the plane of height z, (4, 2): x and y, metres.
+        The order is upper left, upper right, lower right, lower left; NaN for a corner above the horizon."""
         w, h = self.size
         X = np.array([-0.5, w - 0.5, w - 0.5, -0.5])
         Y = np.array([-0.5, -0.5, h - 0.5, h - 0.5])
@@ -323,13 +302,8 @@ class Camera:
     # -- plain data ----------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Convert the camera to plain numbers and lists, for YAML and for hashing.
-
-        Returns
-        -------
-        dict
-            Numbers or nested lists by field name; lens terms k1 to skew that are zero are left out.
-        """
+        """Convert the camera to plain numbers and nested lists, by field name, for YAML and for hashing.
+        Lens terms k1 to skew that are zero are left out."""
         out: dict[str, Any] = {}
         for f in fields(self):
             value = getattr(self, f.name)
@@ -342,13 +316,7 @@ class Camera:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "Camera":
-        """Build a camera from plain numbers and lists.
-
-        Parameters
-        ----------
-        data : mapping
-            The result of `to_dict`; an unknown key raises a TypeError.
-        """
+        """Build a camera from the result of `to_dict`; an unknown key raises a TypeError."""
         return cls(**data)
 
     @classmethod
@@ -396,18 +364,7 @@ class Camera:
         return cls(fx, fy, cx, cy, R, tvec, size, skew=skew, **_terms_of_opencv(D))
 
     def scaled(self, factor: float) -> "Camera":
-        """Return the camera that would have taken the same images resampled to another size.
-
-        Parameters
-        ----------
-        factor : float
-            New size over old size; 0.5 halves the number of pixels along each axis.
-
-        Returns
-        -------
-        Camera
-            Focal lengths, principal point and image size in new pixels.
-        """
+        """Return the camera of the same images resampled by `factor`, which is the new size over the old."""
         w, h = self.size
         return replace(
             self,

@@ -85,9 +85,8 @@ def common_field(
 
 
 def view_on_water(camera: Camera) -> NDArray[np.float64]:
-    """Return points (n, 2) on z = 0, metres, that span the view of a camera.
-    They are the four corners of the image, or samples of the near water if the camera sees the horizon.
-    Raises a RigError if the camera does not see z = 0."""
+    """Return points (n, 2) on z = 0, metres, that span the view of a camera; RigError if it sees none.
+    They are the four corners of the image, or samples of the near water if the camera sees the horizon."""
     corners = camera.corners()
     if np.isfinite(corners).all():
         return corners
@@ -109,7 +108,7 @@ def _round_up(length: float) -> float:
 
 def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
     """Return the shorter and the longer side of a camera's pixel on the still water at (x, y), metres.
-    Raises a RigError if the point is not in front of the camera."""
+    RigError if the point is not in front of the camera."""
     jacobian = camera.jacobian(x, y, 0.0)[:, :2]
     if not np.isfinite(jacobian).all():
         raise RigError("a camera does not see the middle of the grid: is the grid in its view?")
@@ -118,8 +117,7 @@ def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
 
 
 def pixel_at(camera: Camera, x: float, y: float) -> float:
-    """Return the size of a camera's pixel on the still water at (x, y), metres.
-    It is the side of a square of the same area as the pixel."""
+    """Return the side of a square of the area of a camera's pixel on the still water at (x, y), metres."""
     return float(np.sqrt(np.prod(pixel_sides(camera, x, y))))
 
 

@@ -20,7 +20,7 @@ UNITS = {"length": "m", "image": "px", "angle": "rad"}
 
 
 def read_rig_text(path: Path) -> str:
-    """Return the text of a rig file; raises a RigError if it cannot be read."""
+    """Return the text of a rig file; RigError if it cannot be read."""
     try:
         refuse_pipe(path, RigError)
         return path.read_text(encoding="utf-8", errors="replace")
@@ -105,11 +105,6 @@ class Rig:
             The new frame's origin in the present frame, metres.
         **provenance
             Entries to add to the provenance.
-
-        Returns
-        -------
-        Rig
-            The same cameras in the new frame.
         """
         Q, o = np.asarray(axes, float), np.asarray(origin, float)
         cameras = {
@@ -125,14 +120,9 @@ class Rig:
         ----------
         path : path
             File to write; its folder is created. An existing rig is replaced only if it was saved with the
-            same source and has not been edited.
+            same source and has not been edited; otherwise, or if writing fails, a StoreError is raised.
         source : str, optional
             Text that identifies the inputs of the rig (`wavefield.atomic_write.identity_of`).
-
-        Raises
-        ------
-        StoreError
-            If the file cannot be written or replaced.
         """
         data = {
             "units": UNITS,
@@ -144,22 +134,8 @@ class Rig:
 
     @classmethod
     def load(cls, path: str | Path) -> "Rig":
-        """Read a rig that `save` wrote; `wavefield.rig.formats.load_rig` also reads other programs' files.
-
-        Parameters
-        ----------
-        path : path
-            YAML file.
-
-        Returns
-        -------
-        Rig
-
-        Raises
-        ------
-        RigError
-            If the file is missing or is not a rig.
-        """
+        """Read the YAML file of a rig that `save` wrote; RigError if it is missing or is not a rig.
+        `wavefield.rig.formats.load_rig` also reads other programs' files."""
         path = Path(path)
         try:
             data = yaml.load(read_rig_text(path), Loader=YAML_LOADER)
@@ -177,22 +153,8 @@ class Rig:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "Rig":
-        """Build a rig from the content of its YAML file.
-
-        Parameters
-        ----------
-        data : mapping
-            ``cameras`` and, optionally, ``units`` and ``provenance``.
-
-        Returns
-        -------
-        Rig
-
-        Raises
-        ------
-        RigError
-            If a camera is incomplete, its rotation is invalid, or units differ from m, px and rad.
-        """
+        """Build a rig from the content of its YAML file; RigError if a camera is incomplete or invalid.
+        Lengths must be in m, pixels in px and angles in rad."""
         units = data.get("units") or {}
         for what, unit in units.items():
             if unit != UNITS.get(what, unit):
@@ -216,8 +178,7 @@ class Rig:
 
 
 def middle_camera(rig: Rig, names: Sequence[str]) -> str:
-    """Return the name of the camera with the smallest sum of distances to all others in `names`.
-    Of two such cameras, it is the first."""
+    """Return the name of the camera with the smallest sum of distances to all others; the first of two."""
     centres = np.array([rig[n].centre for n in names])
     reach = np.linalg.norm(centres[:, None] - centres, axis=-1).sum(axis=1)
     return names[int(np.argmin(np.round(reach / max(reach.max(), 1e-30), 9)))]

@@ -27,7 +27,7 @@ class WaterPlane:
     @property
     def axes(self) -> Array:
         """Axes, as the columns of a matrix (3, 3), of a frame whose plane z = 0 is parallel to this plane.
-        The z axis is normal to the plane, and the x axis is in the x-z plane of the present frame."""
+        The x axis is in the x-z plane of the present frame."""
         bx, by = self.slope
         z = np.array([-bx, -by, 1.0]) / np.sqrt(1.0 + bx * bx + by * by)
         x = np.array([1.0, 0.0, bx]) / np.sqrt(1.0 + bx * bx)
@@ -35,8 +35,7 @@ class WaterPlane:
 
 
 def _points(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
-    """Return x, y, z as points (n, 3), and a mask (n,) of those that are finite.
-    Raises a RigError if fewer than ten points are finite."""
+    """Return x, y, z as points (n, 3), and a mask (n,) of the finite ones; RigError if fewer than ten are."""
     points = np.stack([np.ravel(v) for v in np.broadcast_arrays(x, y, z)], axis=-1).astype(float)
     finite = np.isfinite(points).all(axis=1)
     if finite.sum() < MIN_POINTS:
@@ -46,7 +45,7 @@ def _points(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, NDArray[np
 
 def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
     """Fit a plane to points x, y, z of the water surface, metres, without outliers.
-    Raises a RigError if there are fewer than ten points, or if all are on a line."""
+    RigError if there are fewer than ten points, or if all are on a line."""
     points, finite = _points(x, y, z)
     height = points[finite, 2]
     design = np.column_stack([np.ones(len(height)), points[finite, :2]])
@@ -75,9 +74,8 @@ def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
 
 
 def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, WaterPlane]:
-    """Turn and shift the frame of a rig so that z = 0 is the plane of points of still water.
-    x, y, z are these points in the present frame, metres. Returns the rig in the new frame, and the fitted
-    plane."""
+    """Return a rig in the frame whose plane z = 0 is that of points of still water, and the fitted plane.
+    x, y, z are the points in the present frame, metres."""
     points, finite = _points(x, y, z)
     axes, origin = _frame_on_plane(rig, points[finite])
     tilt = float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))))
@@ -95,8 +93,7 @@ def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, Wate
 
 
 def _frame_on_plane(rig: Rig, points: Array) -> tuple[Array, Array]:
-    """Return a frame on the plane of points (n, 3): its axes (3, 3), as columns, and its origin (3,).
-    Its z axis points to the side of the cameras."""
+    """Return a frame on the plane of points (n, 3), z towards the cameras: axes (3, 3) and origin."""
     middle, weight = np.median(points, axis=0), np.ones(len(points))
     for _ in range(20):  # robust fit: weights fall with the distance from the plane
         middle = weight @ points / weight.sum()

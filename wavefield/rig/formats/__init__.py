@@ -143,8 +143,8 @@ def _load_xml(path: Path, options: ImportOptions) -> Rig:
 
 def save_rig(rig: Rig, path: str | Path, program: str) -> None:
     """Write a rig in the format of another program: ``opencv``, ``matlab`` or ``uvmat``.
-    For ``uvmat``, `path` is an existing folder, which receives one file per camera. Raises a RigError if the
-    program lacks one of the lens terms."""
+    For ``uvmat``, `path` is an existing folder, which receives one file per camera. RigError if the program
+    lacks one of the lens terms."""
     path = Path(path)
     if program == "uvmat":
         for name, camera in rig.cameras.items():

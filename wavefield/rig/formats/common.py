@@ -29,10 +29,9 @@ class ImportOptions:
     unit: str | None = None  # Unit of length, or its size in metres; None: the file's or the program's unit
 
     def length(self, usual: str | None, stated: str = "") -> tuple[float, str]:
-        """Return the size of the unit of length in metres, and its name.
-        The unit is that of the user, else that which the file states (`stated`), else the program's usual
-        unit. If there is none, it is the metre, and the name is empty. Raises a RigError for an unknown
-        unit."""
+        """Return the size of the unit of length in metres, and its name; RigError for an unknown unit.
+        The unit is that of the user, else that of the file (`stated`), else the program's usual unit, else
+        the metre with an empty name."""
         unit = self.unit or stated.strip() or usual
         if unit is None:
             return 1.0, ""
@@ -49,7 +48,7 @@ class ImportOptions:
 
     def size(self, name: str, program: str, stored: tuple[float, float] | None = None) -> Size:
         """Return the (width, height) of a camera's image, px, from the user or else from the file (`stored`).
-        Raises a RigError if neither states it; `program` is named in the message."""
+        RigError, which names the `program`, if neither states it."""
         size = (self.sizes or {}).get(name) or stored
         if size is None:
             raise RigError(
@@ -59,9 +58,8 @@ class ImportOptions:
         return int(size[0]), int(size[1])
 
     def named(self, count: int, own: Sequence[str] | None = None) -> list[str]:
-        """Return the names of `count` cameras: those of the user, else those of the file (`own`).
-        Without either, they are cam1, cam2, ... Raises a RigError if the user gave another number of
-        names."""
+        """Return the names of `count` cameras: the user's, else the file's (`own`), else cam1, cam2, ...
+        RigError if the user gave another number of names."""
         if self.names is None:
             return list(own or (f"cam{n + 1}" for n in range(count)))
         if len(self.names) != count:
@@ -80,7 +78,7 @@ class StoredCamera:
 
 
 def camera_matrix(fx: float, fy: float, cx: float, cy: float, skew: float = 0.0) -> Array:
-    """Return OpenCV's camera matrix (3, 3); all arguments are in px."""
+    """Return OpenCV's camera matrix (3, 3), px."""
     return np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
@@ -110,8 +108,7 @@ def rig_of_file(
 
 
 def rotation_near(matrix: Array) -> Array:
-    """Return the rotation (3, 3) nearest to a matrix that a file stores with rounding errors.
-    Raises a RigError if the matrix is not a rotation."""
+    """Return the rotation (3, 3) nearest to a matrix with rounding errors; RigError if there is none."""
     U, _, V = np.linalg.svd(matrix)
     nearest: Array = U @ V
     if not np.abs(nearest - matrix).max() < 1e-3 or np.linalg.det(nearest) < 0:
@@ -120,16 +117,14 @@ def rotation_near(matrix: Array) -> Array:
 
 
 def turned_about_axes(alpha: float, beta: float, gamma: float) -> Array:
-    """Return the rotation R = Rz(gamma) Ry(beta) Rx(alpha); the angles are in radians.
-    VIC-3D, DICe and DaVis use this convention."""
+    """Return the rotation Rz(gamma) Ry(beta) Rx(alpha), angles in radians, as in VIC-3D, DICe and DaVis."""
     about_x, about_y, about_z = (rotation_about(a * e) for a, e in zip((alpha, beta, gamma), np.eye(3)))
     turn: Array = about_z @ about_y @ about_x
     return turn
 
 
 def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[float]:
-    """Return the numbers in the child element `tag` of an XML element.
-    Raises a RigError if the child is missing, is empty, or does not hold `count` numbers."""
+    """Return the numbers in the child element `tag` of an XML element; RigError unless there are `count`."""
     element = parent.find(tag)
     if element is None or element.text is None:
         raise RigError(f"<{tag}> is missing")
@@ -140,8 +135,7 @@ def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[f
 
 
 def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
-    """Raise a RigError if a camera has a lens term that the program does not support.
-    `terms` are the names of the distortion terms that it supports."""
+    """Raise a RigError if a camera has a lens term that is not one of `terms`, those of the program."""
     extra = [
         term
         for term in ("k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
@@ -155,9 +149,8 @@ def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
 
 
 def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
-    """Return the two cameras of a rig, and the pose of the second in the frame of the first.
-    The pose is a rotation (3, 3) and a translation (3,), metres. Raises a RigError if the rig has not two
-    cameras, or holds only their lenses."""
+    """Return the two cameras of a rig, and the rotation (3, 3) and translation (3,), m, between their frames.
+    RigError if the rig has not two cameras, or holds only their lenses."""
     if len(rig) != 2:
         raise RigError(f"{program} has two cameras, and this rig {len(rig)}: write OpenCV's file")
     if rig.lenses_alone:
@@ -168,9 +161,7 @@ def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
 
 
 def refuse_implausible(cameras: Sequence[StoredCamera], unit: str) -> None:
-    """Raise a RigError if the unit of length is unknown and metres are implausible.
-    They are implausible if the cameras would be more than `MAX_DISTANCE` apart. `unit` is empty if
-    unknown."""
+    """Raise a RigError if cameras would be over `MAX_DISTANCE` metres apart and the unit is not known."""
     centres = [-one.pose[0].T @ one.pose[1] for one in cameras]
     apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     if not unit and apart > MAX_DISTANCE:

@@ -56,8 +56,7 @@ def _braces(text: str) -> list[float]:
 
 
 def _dice_camera(element: ET.Element, parameters: Parameters, length: float) -> StoredCamera:
-    """Read one camera of DICe; its pose is `FIRST_CAMERA` if the file states none.
-    `length` is the size of the file's unit of length, metres."""
+    """Read one camera of DICe; `length` is the size of the file's unit of length, metres."""
 
     def values(*names: str) -> list[float]:
         return [float(parameters.get(name, 0.0)) for name in names]

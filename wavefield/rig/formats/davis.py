@@ -62,8 +62,7 @@ def _camera(mapper: ET.Element, length: float) -> StoredCamera:
 
 def _number(mapper: ET.Element, tag: str, name: str, absent: float | None = None) -> float:
     """Return the number in the attribute `name` of the child element `tag`.
-    If it is absent, the function returns the default `absent`, or raises a RigError if there is no
-    default."""
+    If there is none it is the default `absent`, or a RigError without a default."""
     element = mapper.find(f".//{tag}")
     text = None if element is None else element.get(name)
     if text is None:

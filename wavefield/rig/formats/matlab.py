@@ -25,8 +25,7 @@ from wavefield.rig.rig import Rig
 
 
 def load_matlab(path: Path, options: ImportOptions) -> Rig:
-    """Read a .mat file of Bouguet's toolbox or of MATLAB's Camera Calibrator; returns the rig.
-    Raises a RigError if the file holds no calibration or is of version 7.3."""
+    """Read a .mat file of Bouguet's toolbox or of MATLAB's Camera Calibrator; RigError if it is another."""
     import scipy.io  # here, because the import takes half a second
 
     try:
@@ -78,8 +77,7 @@ def _world_units(data: object) -> str:
 
 
 def _bouguet(data: Mapping[str, Any], side: str) -> StoredCamera:
-    """Read a camera of Bouguet's toolbox, which counts pixels from zero.
-    `side` is the ending of the variables' names: _left, _right or empty."""
+    """Read a camera of Bouguet's toolbox; `side` is the ending of the variables: _left, _right or empty."""
     fx, fy = np.ravel(data[f"fc{side}"]).tolist()
     cx, cy = np.ravel(data[f"cc{side}"]).tolist()
     skew = float(np.ravel(data.get(f"alpha_c{side}", 0.0))[0]) * fx
@@ -101,8 +99,7 @@ def _struct(value: Mapping[str, Any]) -> StoredCamera:
 
 def save_matlab(rig: Rig, path: Path) -> None:
     """Write a rig of two cameras as stereo results of Bouguet's toolbox, with lengths in metres.
-    MATLAB's `stereoParametersFromOpenCV` takes the same numbers: KK_left, kc_left, KK_right, kc_right, R, T.
-    Raises a RigError if there are not two cameras, or if their images differ in size."""
+    RigError if there are not two cameras, or if their images differ in size."""
     import scipy.io  # here, because the import takes half a second
 
     one, two, R, T = as_pair(rig, "MATLAB")

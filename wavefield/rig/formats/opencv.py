@@ -33,8 +33,7 @@ Parts = dict[str, Array]  # nodes of one camera: K, D, size or width and height,
 
 
 def _nodes(path: Path) -> Nodes:
-    """Read the names and values of the matrices and numbers in the upper two levels of a file.
-    Raises a RigError if the file is damaged."""
+    """Read the names and values of the matrices and numbers in the upper two levels of a file."""
     text = path.read_text(errors="replace")
     if not text.endswith(("\n", "]", ">")):  # OpenCV does not report that a YAML file was cut
         raise RigError("it ends within a line: it is truncated; copy it again")
@@ -67,9 +66,7 @@ def _nodes(path: Path) -> Nodes:
 
 
 def _parts_of_cameras(nodes: Nodes) -> dict[str, Parts]:
-    """Sort the nodes of a file by camera.
-    The keys of the result are the camera numbers, or left and right, in the names of the nodes; the key is
-    empty for nodes without one."""
+    """Sort the nodes of a file by the number, or left or right, in their names; the key is empty without."""
     out: dict[str, Parts] = {}
     for name, value in nodes:
         head = re.match(r"(?:cam(?:era)?)?(\d+)", name)
@@ -86,8 +83,7 @@ def _parts_of_cameras(nodes: Nodes) -> dict[str, Parts]:
 
 
 def _part(stem: str, value: Array) -> str:
-    """Return the key under which `Parts` holds a node; empty if the node is not part of a camera.
-    `stem` is the name of the node without the camera's number."""
+    """Return the key in `Parts` of a node, named without the camera's number; empty if it is no part."""
     if value.shape == (3, 3) and stem in MATRICES and value[2, 2] == 1.0:
         return "K"
     if stem in DISTORTIONS and value.size in (4, 5, 8, 12, 14):
@@ -103,8 +99,7 @@ def _part(stem: str, value: Array) -> str:
 
 def load_opencv(path: Path, options: ImportOptions) -> Rig:
     """Read a calibration file of OpenCV with one or several cameras; returns the rig.
-    The second camera of a stereo file has its pose in the first one's frame. If a file of intrinsics has one
-    of extrinsics beside it, both are read."""
+    If a file of intrinsics has one of extrinsics beside it, both are read."""
     nodes = _nodes(path)
     if any(name.startswith("fisheyemodel") and value.any() for name, value in nodes):
         raise RigError("its lens is a fisheye, which has no camera model here: calibrate a perspective lens")
@@ -126,8 +121,7 @@ def load_opencv(path: Path, options: ImportOptions) -> Rig:
 
 
 def _cameras(nodes: Nodes) -> list[Parts]:
-    """Return the nodes of each camera, in the order of the cameras.
-    Nodes that all cameras share are added to each. Raises a RigError if there is no camera matrix."""
+    """Return the nodes of each camera, in order, with those that all share; RigError if there are none."""
     found = _parts_of_cameras(nodes)
     shared = found.get("", {})
     order = sorted((camera for camera in found if "K" in found[camera]), key=_order)
@@ -153,9 +147,7 @@ def _stored_size(parts: Parts) -> tuple[float, float] | None:
 
 
 def _pose(n: int, name: str, parts: Parts, by_name: Mapping[str, Array]) -> Pose:
-    """Return the pose of the nth camera, counted from zero, in the unit of the file.
-    It is the pose in the world if the file stores this, else the pose in the first camera's frame. Raises a
-    RigError if there is neither."""
+    """Return the pose of the nth camera (from 0), in the world or else in the first camera's frame."""
     if "worldr" in parts and "worldt" in parts:
         return rotation_near(parts["worldr"]), parts["worldt"].ravel()
     if n == 0:

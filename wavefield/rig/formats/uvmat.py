@@ -47,8 +47,7 @@ def load_uvmat(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
 
 
 def _check_size(calibration: ET.Element, size: tuple[int, int]) -> None:
-    """Check the image size (width, height) that the user stated, because UVMAT does not store it.
-    Raises a RigError if a target point of the calibration is outside an image of this size."""
+    """Raise a RigError if a point of the calibration is outside an image of the stated (width, height)."""
     marked = [
         [float(v) for v in (point.text or "").split()]
         for point in calibration.iterfind("SourceCalib/PointCoord")
@@ -63,8 +62,7 @@ def _check_size(calibration: ET.Element, size: tuple[int, int]) -> None:
 
 
 def save_uvmat(camera: Camera, path: str | Path, unit: str = "cm") -> None:
-    """Write one camera as a file of UVMAT (ImaDoc); `unit` is the unit of length in the file.
-    Raises a RigError if the camera has distortion terms other than k1."""
+    """Write one camera as a file of UVMAT (ImaDoc), with lengths in `unit`; RigError for terms but k1."""
     refuse_terms(camera, "UVMAT", "k1")
     scale = 1.0 / LENGTHS[unit]
     root = ET.Element("ImaDoc")
