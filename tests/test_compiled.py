@@ -13,8 +13,7 @@ import threadpoolctl
 from numba import float64
 from numba.core import caching
 
-import wavefield.compiled
-from wavefield.compiled import clear_compiled, compiled
+from wavefield.compiled import compiled
 from wavefield.one_thread import one_thread
 
 
@@ -121,22 +120,6 @@ def test_damaged_code_is_compiled_again(folder, damaged):
     path.write_bytes(damaged(whole))
     assert answers(started(folder, "c")) == ["6.0"]
     assert path.read_bytes()[-100:] == whole[-100:]
-
-
-def test_clearing_removes_compiled_code_and_nothing_else(tmp_path, monkeypatch):
-    package = tmp_path / "package"
-    (package / "room" / "__pycache__").mkdir(parents=True)
-    for name in ("__init__.py", "compiled.py", "room/__init__.py", "room/__pycache__/a.pyc"):
-        (package / name).touch()
-    ours = [package / "room/__pycache__" / name for name in ("f-1.py311.ab-cd.nbc", "g-1.py311.nbi")]
-    for path in ours:
-        path.touch()
-    monkeypatch.setattr(wavefield.compiled, "__file__", str(package / "compiled.py"))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
-    monkeypatch.setattr(wavefield.compiled.numba.config, "CACHE_DIR", "")
-    assert clear_compiled() == len(ours)
-    assert not any(path.exists() for path in ours)
-    assert (package / "room/__pycache__/a.pyc").exists()
 
 
 def blas_threads():

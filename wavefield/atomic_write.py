@@ -42,8 +42,7 @@ class Product:
 
 
 def identity_of(*parts: object) -> str:
-    """Return sixteen hexadecimal digits, a hash of `parts`, that identify data.
-    The parts are values that `json.dumps` accepts; others are hashed as `str` writes them."""
+    """Return sixteen hexadecimal digits, a hash of `parts` as JSON, that identify data."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
@@ -58,8 +57,7 @@ def file_names(folder: Path) -> list[str]:
 
 def read_mark(path: Path) -> Product | None:
     """Return the kind and source in the mark of a file or Zarr store of wavefield, as a `Product`.
-    None if there is no mark, or if the content was changed since the mark was written. StoreError if the user
-    may not read it."""
+    None if there is no mark, or if the content was changed since. StoreError if the user may not read it."""
     try:
         if path.is_dir():
             mark = json.loads((path / "zarr.json").read_bytes())["attributes"][MARK_ATTRIBUTE]
@@ -176,8 +174,8 @@ def atomic(
     """Context manager: yield a temporary path for an output, which is renamed to `path` at the end.
     If the block raises, `path` stays as it was. With a `product` the output gets its mark, and an output at
     `path` is replaced only if it has the same mark and is unchanged. Without a product no output is replaced,
-    but `replace` allows to replace any plain file. `inputs` are files that the same command reads. Raises
-    StoreError if `path` must not be replaced, is an input, or cannot be written."""
+    but `replace` allows to replace any plain file. `inputs` are files that the same command reads. StoreError
+    if `path` must not be replaced, is an input, or cannot be written."""
     path = Path(path)
     with writing(path):
         refuse_input(path, *inputs)
@@ -201,8 +199,8 @@ def atomic(
 
 @contextmanager
 def _draft_folder(path: Path) -> Iterator[Path]:
-    """Context manager: yield a new, locked folder next to `path` for an unfinished output.
-    It first removes such folders that killed processes have left. At the end the folder is removed."""
+    """Context manager: yield a new, locked folder next to `path`, which is removed at the end.
+    It first removes such folders that killed processes have left."""
     remove_leftovers(path)
     folder = path.with_name(f"{_DRAFT}{uuid.uuid4().hex}")
     at_exit = functools.partial(shutil.rmtree, folder, ignore_errors=True)
@@ -222,7 +220,7 @@ def _draft_folder(path: Path) -> Iterator[Path]:
 
 def _remove(folder: Path) -> None:
     """Remove a folder and its content, also if a signal interrupts; then raise the interruption.
-    Tries again for some seconds, since threads of Zarr may still write into the folder."""
+    It is tried for some seconds, since threads of Zarr may still write into the folder."""
     stop: BaseException | None = None
     for _ in range(_REMOVALS):
         try:
@@ -262,8 +260,7 @@ def remove_leftovers(path: Path) -> None:
 
 
 def make_durable(paths: Iterable[Path]) -> None:
-    """Wait until files and folders are on the disk (fsync).
-    Missing or unreadable ones are skipped. OSError if the disk fails."""
+    """Wait until files and folders that exist are on the disk (fsync); OSError if the disk fails."""
     for path in paths:
         try:
             number = os.open(path, os.O_RDONLY)
@@ -279,8 +276,7 @@ def make_durable(paths: Iterable[Path]) -> None:
 
 
 def write_text(path: str | Path, text: str, product: Product | None = None, *, replace: bool = False) -> None:
-    """Write a text file (UTF-8), completely or not at all.
-    `product`, `replace` and errors are as for `atomic`."""
+    """Write a text file (UTF-8) as `atomic` does, completely or not at all."""
     with atomic(path, product, replace=replace) as draft:
         draft.write_text(text, encoding="utf-8")
 
@@ -288,8 +284,7 @@ def write_text(path: str | Path, text: str, product: Product | None = None, *, r
 def check_writable(
     path: str | Path, product: Product | None = None, *, inputs: Iterable[object] = ()
 ) -> None:
-    """Raise StoreError if `atomic` could not write `path` with the same arguments.
-    The folder that is to contain `path` is made if it does not exist."""
+    """Raise StoreError if `atomic` could not write `path` with the same arguments; make its folder."""
     path = Path(path)
     with writing(path):
         refuse_input(path, *inputs)
@@ -314,11 +309,5 @@ def write_error(path: Path, error: OSError) -> StoreError:
         return StoreError(
             f"the disk that holds {path} is full, or a quota is used up; nothing that was written is lost: "
             "free some room and run the same command again"
-        )
-    if error.errno in (errno.ENOTDIR, errno.EEXIST):
-        return StoreError(f"{path} cannot be written: a folder in its path is a file; choose another place")
-    if error.errno == errno.ENAMETOOLONG:
-        return StoreError(
-            f"{path.name[:40]}... cannot be written: its name is too long; choose a shorter one"
         )
     return StoreError(f"{path} cannot be written: {error.strerror or error}; check its disk and permissions")

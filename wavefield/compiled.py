@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.core import caching, serialize
+from numba.core import serialize
 
 Loop = TypeVar("Loop", bound=Callable[..., Any])
 
@@ -22,9 +22,7 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
     """Decorator: compile a loop over plain arrays with numba, and keep the compiled code on disk.
     Each numba type in `signature` is compiled when the decorator is applied; without a signature the loop is
-    compiled at its first call. `options` are those of `numba.njit`. The loop runs without the GIL. Several
-    processes may compile at the same time. If the disk cannot be written, each process compiles for
-    itself."""
+    compiled at its first call. `options` are those of `numba.njit`. The loop runs without the GIL."""
     njit: Any = numba.njit  # its type hints do not accept options as a mapping
 
     def decorate(loop: Loop) -> Loop:
@@ -48,15 +46,15 @@ def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
 
 class _CompiledFiles:
     """The files with the compiled code of one loop, one file for each combination of argument types.
-    It replaces numba's numbered files and their index. A file is named by a hash of sources, types and
-    processor, so processes need no lock. Damaged files are not used."""
+    A file is named by a hash of sources, types and processor, so processes need no lock, unlike with numba's
+    own index of numbered files."""
 
     def __init__(self, folder: Path, base: str, loop: Callable[..., object]) -> None:
         self._folder, self._base = folder, base
         self._sources = _digest_of_sources(Path(loop.__code__.co_filename).parent)
 
     def save(self, key: object, data: object) -> None:
-        """Write compiled code (`data`) to the file for `key`, numba's key of argument types and processor.
+        """Write compiled code (`data`) for `key`, numba's key of argument types and processor.
         Files compiled from earlier sources are removed. If the disk cannot be written, do nothing."""
         content = serialize.dumps((self._identity(key), data))
         path = self._path(key)
@@ -73,8 +71,7 @@ class _CompiledFiles:
                     old.unlink()
 
     def load(self, key: object) -> Any:
-        """Return the compiled code for `key`, numba's key of argument types and processor.
-        None if its file is absent or damaged."""
+        """Return the compiled code for `key`, as in `save`; None if its file is absent or damaged."""
         try:
             stored = self._path(key).read_bytes()
         except OSError:
@@ -84,11 +81,6 @@ class _CompiledFiles:
             return None
         identity, data = pickle.loads(content)
         return data if identity == self._identity(key) else None
-
-    def flush(self) -> None:
-        """Remove all files of this loop."""
-        for path in self._folder.glob(f"{self._base}.*"):
-            path.unlink(missing_ok=True)
 
     def _identity(self, key: object) -> str:
         return f"{numba.__version__} {key!r}"
@@ -108,19 +100,3 @@ def _digest_of_sources(folder: Path) -> str:
         if b"compiled" in source:
             digest.update(source)
     return digest.hexdigest()[:12]
-
-
-def clear_compiled() -> int:
-    """Remove the compiled loops that wavefield keeps on this machine; return the number of files removed."""
-    locators: list[Any] = [caching.InTreeCacheLocator, caching.UserWideCacheLocator]
-    config: Any = numba.config
-    if config.CACHE_DIR:
-        locators.append(caching.UserProvidedCacheLocator)
-    removed = 0
-    for source in Path(__file__).parent.rglob("__init__.py"):
-        for locator in locators:
-            for path in Path(locator(clear_compiled, str(source)).get_cache_path()).glob("*.nb[ci]"):
-                with suppress(OSError):
-                    path.unlink()
-                    removed += 1
-    return removed

@@ -4,7 +4,6 @@ A section is a pydantic model (`ConfigSection`) or a frozen dataclass. `load` re
 `make` from plain data that was read already.
 """
 
-import codecs
 import dataclasses
 import difflib
 import os
@@ -27,18 +26,12 @@ T = TypeVar("T")
 
 _MAX_MESSAGES = 4  # problems of a file
 _MAX_NAME = 100  # characters
-_BROKEN_PATH = re.compile(
-    r"^[A-Za-z]:[\x00-\x1f\x7f-\xa0]|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]|^[^\n]*[\t\n\r][^\n]*\.\w+$"
-)
 _BACKSLASH = r"in double quotes \ begins a special character"
 _SLASH = "write / between folders, or single quotes"
 _KNOWN = "; known keys here: "
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
-
-
 # of a dataclass that `make` makes: as its ``__pydantic_config__``
 CHECKED = ConfigDict(extra="forbid", allow_inf_nan=False)
-
 
 _RESERVED_NAMES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # of devices, on Windows
 _NOT_IN_NAMES = re.compile(r"[/\\:*?\"<>|{}\[\]\x00-\x1f]")
@@ -54,15 +47,14 @@ def safe_name(name: str) -> str:
 
 
 def portable_path(path: str) -> str:
-    """Return `path` unchanged; ValueError if a name in it is over 255 bytes, or if \\ separates folders.
-
-    A backslash is allowed on Windows, and in the path of a file that exists. An address (with ://) is not
-    checked.
-    """
+    r"""Return `path` unchanged; ValueError if a name in it is over 255 bytes, or if \ separates folders.
+    A backslash is allowed on Windows and in the path of a file that exists. An address is not checked."""
     if "://" in path:  # an address, which may contain a password
         return path
     if any(len(part.encode()) > MAX_NAME_BYTES for part in path.split("/")):
         raise ValueError(f"{path[:40]!r}... has a name of more than {MAX_NAME_BYTES} characters; shorten it")
+    if any(ord(character) < 32 for character in path):
+        raise ValueError(f"{_BACKSLASH}: {path[:60]!r}; {_SLASH}")
     if "\\" in path and os.sep == "/" and not Path(path).exists():
         raise ValueError(f"{path!r} has \\ between folders; write /, which is read on Windows as well")
     return path
@@ -73,18 +65,14 @@ PathText = Annotated[str, AfterValidator(portable_path)]
 
 
 class ConfigSection(BaseModel):
-    """Base class of the sections of a settings file.
-
-    Unknown keys, and numbers that are not finite, raise pydantic's ValidationError.
-    """
+    """Base class of the sections of a settings file; unknown keys and infinite numbers raise errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
 
 
 def load(kind: type[T], path: Path, data: Mapping[str, object] | None = None) -> T:
     """Return a YAML file as a section (pydantic model or dataclass) of type `kind`, with checked values.
-    `data` is the content of the file if the caller has read it already. ExperimentError if the content is
-    wrong; the message names the line and the remedy."""
+    `data` is the file's content if it was read already. ExperimentError names the line and the remedy."""
     return make(kind, read_yaml(path) if data is None else data, path=path)
 
 
@@ -99,8 +87,7 @@ def make(
 ) -> T:
     """Return plain data as a section (pydantic model or dataclass) of type `kind`, with checked values.
     Raises `error`, with up to four problems, if the data are wrong. The other arguments serve its message:
-    `path` is the file that the data come from, `location` the keys that lead to the data in this file, `name`
-    the name of the data without a file."""
+    the file that the data come from, the keys that lead to the data in it, and their name without a file."""
     try:
         made = TypeAdapter(kind).validate_python(dict(data))
     except WavefieldError as found:  # a section's own sentence
@@ -111,22 +98,14 @@ def make(
         wrong = found.errors()
         unknown = [p for p in wrong if p["type"] in _UNKNOWN]  # what is missing is there under a wrong name
         wrong = unknown or [p for p in wrong if not _is_other_form(p, wrong)]
-        problems = [_sentence(problem, kind, path, node, location, name) for problem in wrong]
     else:
-        places = [[*location, *inner] for inner in _booleans_as_numbers(data, made)]
-        if not places:
-            return made
-        words = " should be a number, which yes, no, on, off, true, false are not"
-        problems = [
-            (file_and_line(path, place) if path else name, ".".join(map(str, place)) + words)
-            for place in places
-        ]
-    raise error(_joined(list(dict.fromkeys(problems))))
+        return made
+    problems = dict.fromkeys(_sentence(problem, kind, path, node, location, name) for problem in wrong)
+    raise error(_joined(list(problems)))
 
 
 def _joined(messages: Sequence[tuple[str, str]]) -> str:
-    """Return one message from problems, pairs (place, words), of which the first four are listed.
-    Each place is named once, and so is each list of known keys."""
+    """Return one message from problems, pairs (place, words), of which the first four are listed."""
     by_place: dict[str, list[str]] = {}
     listed: set[str] = set()
     for where, words in messages[:_MAX_MESSAGES]:
@@ -139,32 +118,14 @@ def _joined(messages: Sequence[tuple[str, str]]) -> str:
     return "; ".join(sentences)
 
 
-def _booleans_as_numbers(
-    data: object, made: object, place: tuple[Key, ...] = ()
-) -> Iterator[tuple[Key, ...]]:
-    """Yield the place, as a tuple of keys, of each true or false that became a number.
-    `data` are the values as read from the file, `made` is the section that was made from them, and `place` is
-    where both are in the file."""
-    if isinstance(data, bool):
-        if isinstance(made, int | float) and not isinstance(made, bool):
-            yield place
-    elif isinstance(data, Mapping):
-        for key, value in data.items():
-            inner = made.get(key) if isinstance(made, Mapping) else getattr(made, str(key), None)
-            yield from _booleans_as_numbers(value, inner, (*place, key))
-    elif isinstance(data, list) and isinstance(made, list | tuple):
-        for k, (value, inner) in enumerate(zip(data, made)):
-            yield from _booleans_as_numbers(value, inner, (*place, k))
-
-
 # -- YAML ----------------------------------------------------------------------------------------------------
 
 
 class _Loader(yaml.SafeLoader):
     """A YAML loader that reads numbers as people write them.
 
-    1:30 and dates are text, and 010 is ten. Aliases (`*name`) raise an error, because a few lines with
-    aliases can expand to billions of values.
+    1:30, dates, yes and no are text, and 010 is ten. Aliases (`*name`) raise an error, because a few lines
+    with aliases can expand to billions of values.
     """
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
@@ -180,9 +141,12 @@ class _Loader(yaml.SafeLoader):
 
 
 _Loader.yaml_implicit_resolvers = {
-    first: [rule for rule in rules if rule[0].rpartition(":")[2] not in ("int", "float", "timestamp")]
+    first: [rule for rule in rules if rule[0].rpartition(":")[2] not in ("bool", "int", "float", "timestamp")]
     for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:bool", re.compile("(true|True|TRUE|false|False|FALSE)$"), list("tTfF")
+)
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:int", re.compile(r"[-+]?(0x[0-9a-fA-F_]+|[0-9][0-9_]*)$"), list("-+0123456789")
 )
@@ -199,17 +163,10 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the content of a YAML file that holds a mapping.
-    ExperimentError if the file cannot be read or is not a mapping, if a key is repeated, or if a backslash in
-    double quotes has broken a path."""
+    ExperimentError if the file cannot be read or is not a mapping, or if a key is repeated."""
     node = _compose(path)
     if not isinstance(node, yaml.MappingNode):
         raise ExperimentError(f"{path} is not a list of `key: value` lines; see the example in the README")
-    texts = (part for part in _below(node) if isinstance(part, yaml.ScalarNode) and part.style == '"')
-    for text in texts:  # in which \t, \n, ... of a path have become control characters
-        if _BROKEN_PATH.search(text.value):
-            raise ExperimentError(
-                f"{path}, line {text.start_mark.line + 1}: {_BACKSLASH}: {text.value[:60]!r}; {_SLASH}"
-            )
     for first, second in _twice(node):
         raise ExperimentError(
             f"{path}, line {second.start_mark.line + 1}: {second.value!r} is there twice "
@@ -232,17 +189,11 @@ def _text(path: Path) -> str:
     except IsADirectoryError:
         raise ExperimentError(f"{path} is a folder; name the YAML file in it") from None
     except UnicodeDecodeError:
-        kind = "UTF-16" if _is_utf16(path.read_bytes()) else "not a text file"
-        raise ExperimentError(f"{path} is {kind}, not UTF-8; save it as UTF-8 in your editor") from None
+        raise ExperimentError(
+            f"{path} is not UTF-8 text, but perhaps UTF-16; save it as UTF-8 in your editor"
+        ) from None
     except OSError as error:
         raise ExperimentError(f"{path} cannot be read: {error.strerror}") from None
-
-
-def _is_utf16(data: bytes) -> bool:
-    try:
-        return data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) and ":" in data.decode("utf-16")
-    except UnicodeDecodeError:
-        return False
 
 
 def _compose(path: Path) -> yaml.Node | None:
@@ -270,29 +221,14 @@ def _not_yaml(path: Path, error: Exception) -> ExperimentError:
     return ExperimentError(f"{path}{where}: {problem}; check indentation, colons and brackets")
 
 
-def _parts(node: yaml.Node) -> list[yaml.Node]:
-    """Return the keys and values of a mapping, or the items of a list, as YAML nodes; else an empty list."""
-    if isinstance(node, yaml.MappingNode):
-        return [part for pair in node.value for part in pair]
-    return list(node.value) if isinstance(node, yaml.SequenceNode) else []
-
-
-def _below(node: yaml.Node) -> Iterator[yaml.Node]:
-    """Yield a node and all nodes inside it."""
-    yield node
-    for part in _parts(node):
-        yield from _below(part)
-
-
 def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
     """Yield each key that is repeated in a mapping, at any depth, as the nodes of both its places."""
-    for mapping in _below(node):
-        seen: dict[str, yaml.Node] = {}
-        for key, _ in mapping.value if isinstance(mapping, yaml.MappingNode) else ():
-            word = str(key.value)
-            if word in seen:
-                yield seen[word], key
-            seen[word] = key
+    seen: dict[str, yaml.Node] = {}
+    for part in node.value if isinstance(node, yaml.CollectionNode) else ():
+        key, value = part if isinstance(part, tuple) else (None, part)
+        if key is not None and seen.setdefault(str(key.value), key) is not key:
+            yield seen[str(key.value)], key
+        yield from _twice(value)
 
 
 # -- where a value is ----------------------------------------------------------------------------------
@@ -305,9 +241,8 @@ def file_and_line(path: Path, location: Sequence[Key]) -> str:
 
 
 def _line(node: yaml.Node | None, location: Sequence[Key]) -> int | None:
-    """Return the line number, from 1, of a value in a YAML file; None if none of its keys is found.
-    `node` is the file's content and `location` the keys and indices that lead to the value. If the last of
-    them are not in the file, it is the line of the deepest one that is."""
+    """Return the line number, from 1, of a location (keys and indices) in a YAML file, or None.
+    If the last keys are not in the file, it is the line of the deepest one that is."""
     line = None
     for step in location:
         found = None
@@ -350,9 +285,7 @@ def _sentence(
 
 
 def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool:
-    """Whether an error of pydantic only says that a value lacks one of several allowed forms.
-    Such an error is left out, because another one says what is wrong in the form that the user chose. `wrong`
-    are all errors."""
+    """Whether an error only says that a value lacks one of several forms, and another error says more."""
     place = problem["loc"][:-1]
     others = [other for other in wrong if other is not problem and other["loc"][: len(place)] == place]
     if problem["type"] == "literal_error" and isinstance(problem["input"], Mapping):
@@ -362,8 +295,7 @@ def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool
 
 
 def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
-    """Return the message to the user for one error of pydantic, without the name of the key.
-    `kinds` are the types of section that may stand where the wrong key is; they give the known keys."""
+    """Return the message for one error of pydantic, without the key; `kinds` are the sections there."""
     sort, message = problem["type"], str(problem["msg"])
     if sort in _UNKNOWN:
         known = list(dict.fromkeys(name for member in kinds for name in _fields(member)))
@@ -409,8 +341,7 @@ def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any]
 
 
 def _is_branch(step: Key, annotations: Sequence[object]) -> bool:
-    """Whether `step`, a part of the location of a pydantic error, names a type in a union and is no key.
-    Examples are "str" and "GridSection". `annotations` are the types that are possible at this place."""
+    """Whether a part of the location of a pydantic error names a type in a union ("str") and is no key."""
     if not isinstance(step, str):
         return False
     classes = [getattr(member, "__name__", "") for member in annotations]

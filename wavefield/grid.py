@@ -74,8 +74,7 @@ class Grid:
 
 def largest_rectangle(mask: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return the largest rectangle of a mask (ny, nx) in which all nodes are true.
-    The result is the range of its rows (start, stop) and the range of its columns (start, stop); `stop` is
-    excluded."""
+    It is the range of its rows (start, stop) and of its columns (start, stop); `stop` is excluded."""
     ny, nx = mask.shape
     height = np.zeros(nx, int)
     best, where = 0, ((0, 0), (0, 0))

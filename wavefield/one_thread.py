@@ -16,8 +16,7 @@ _state: dict[str, Any] = {"depth": 0, "limits": None}
 @contextmanager
 def one_thread() -> Generator[None]:
     """Context manager or decorator: linear algebra (BLAS) uses one thread in the whole process.
-    If several threads are in such blocks, the first to enter sets this limit, and the last to leave restores
-    the earlier limit."""
+    Of several threads in such blocks, the first to enter sets the limit and the last to leave restores it."""
     with _lock:
         if not _state["depth"]:
             _take_control()
@@ -35,8 +34,7 @@ def one_thread() -> Generator[None]:
 
 
 def _take_control() -> None:
-    """Let the calling thread set the number of BLAS threads.
-    From version 3.8 on, threadpoolctl obeys only the first thread that has set a number."""
+    """Let this thread set the number of BLAS threads: since 3.8, threadpoolctl obeys only one thread."""
     openblas: Any = getattr(threadpoolctl, "OpenBLASController", None)
     if clear := getattr(openblas, "clear_controlling_thread", None):
         clear(force=True)

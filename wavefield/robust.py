@@ -10,14 +10,7 @@ PER_MEDIAN = 1.4826  # standard deviation of a normal distribution over its medi
 
 def robust_std(values: NDArray[np.floating]) -> float:
     """Return a standard deviation about 0 that ignores outliers: 1.4826 times the median absolute value.
-
-    It is 0 if `values` is empty.
-
-    Examples
-    --------
-    >>> robust_std(np.array([-1.0, 1.0, 1.0, 1000.0]))
-    1.4826
-    """
+    It is 0 if `values` is empty."""
     return PER_MEDIAN * float(np.median(np.abs(values))) if values.size else 0.0
 
 

@@ -19,15 +19,7 @@ def spell_time(seconds: float) -> str:
 
 
 def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
-    """Return sorted integers as text, with consecutive integers as a range.
-
-    At most `most` ranges are listed; the text tells how many more there are.
-
-    Examples
-    --------
-    >>> spell_ranges((1, 2, 3, 7))
-    '1-3, 7'
-    """
+    """Return sorted integers as text with ranges, "1-3, 7"; at most `most` ranges are listed."""
     ranges: list[list[int]] = []
     for number in numbers:
         if ranges and number == ranges[-1][1] + 1:
@@ -39,15 +31,8 @@ def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
 
 
 def spell_uncertain(value: float, std: float, unit: str) -> str:
-    """Return a value and its standard uncertainty as text, rounded to two digits of the uncertainty.
-
-    If the uncertainty is not finite, the text is the value alone.
-
-    Examples
-    --------
-    >>> spell_uncertain(0.37926, 0.00015, "m"), spell_uncertain(12.3, float("nan"), "m")
-    ('0.37926 +- 0.00015 m', '12.30 m')
-    """
+    """Return a value and its standard uncertainty, rounded to its two digits: "0.37926 +- 0.00015 m".
+    If the uncertainty is not finite, the text is the value alone."""
     if not math.isfinite(std):
         return f"{value:.2f} {unit}"
     digits = max(1 - math.floor(math.log10(std)), 0) if std > 0 else 2
@@ -65,15 +50,7 @@ def one_line(error: object) -> str:
 
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table with a title as HTML text, for notebooks.
-
-    Special characters in cells are escaped. An empty `head` gives a table without a header row.
-
-    Examples
-    --------
-    >>> html_table("Rig", ["camera"], [["<1>"]])
-    '<b>Rig</b><table><tr><th>camera</th></tr><tr><td>&lt;1&gt;</td></tr></table>'
-    """
+    """Return a table as HTML text, for notebooks; an empty `head` gives a table without a header row."""
     lines = [("th", head), *(("td", row) for row in rows)]
     text = "".join(
         "<tr>" + "".join(f"<{kind}>{escape(str(cell))}</{kind}>" for cell in line) + "</tr>"
@@ -84,11 +61,5 @@ def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]
 
 
 def full_stop(words: str) -> str:
-    """Return words with a full stop at the end, unless they end with ".", "?" or "!".
-
-    Examples
-    --------
-    >>> full_stop("Focus it"), full_stop("Is it in metres?")
-    ('Focus it.', 'Is it in metres?')
-    """
+    """Return words with a full stop at the end, unless they end with ".", "?" or "!"."""
     return words if words.endswith((".", "?", "!")) else f"{words}."

@@ -18,24 +18,15 @@ WATER = ("water_depth", "surface_tension_over_density")  # attributes of a cube 
 
 
 def tension_over_density(surface_tension: float | None = None, density: float | None = None) -> float:
-    """Return surface tension (N/m) over density (kg/m3), in m3 s-2.
-    An argument that is None is that of clean water at 20 C."""
+    """Return surface tension (N/m) over density (kg/m3), in m3 s-2; None is that of clean water at 20 C."""
     tension = SURFACE_TENSION if surface_tension is None else surface_tension
     return float(tension) / float(density or DENSITY)
 
 
 def water_of(attributes: Mapping[str, str | float], depth: float | None = None) -> tuple[float, float]:
     """Return the water's depth, m, and surface tension over density, m3/s2, from a cube's attributes.
-
-    `depth` replaces the depth in the attributes; the depth is infinite if neither gives one. The tension is
-    that of clean water if the attributes have none.
-
-    Examples
-    --------
-    >>> depth, gamma = water_of({"water_depth": 0.7})
-    >>> depth, round(gamma, 8)
-    (0.7, 7.28e-05)
-    """
+    `depth` replaces the depth in the attributes; without either it is infinite. The default tension is that
+    of clean water."""
     if depth is None:
         stated = attributes.get("water_depth")
         depth = np.inf if not stated or stated == "deep" else float(stated)
@@ -44,23 +35,9 @@ def water_of(attributes: Mapping[str, str | float], depth: float | None = None) 
 
 def stated_water(attributes: Mapping[str, Any]) -> dict[str, float]:
     """Return the water's attributes of a cube (the names in `WATER`) as numbers, by name.
-
-    Attributes that are absent or infinite, and the depth "deep", are left out.
-
-    Examples
-    --------
-    >>> stated_water({"water_depth": 0.7, "name": "basin"}), stated_water({"water_depth": "deep"})
-    ({'water_depth': 0.7}, {})
-    """
+    Attributes that are absent or infinite, and the depth "deep", are left out."""
     given = {name: attributes[name] for name in WATER if attributes.get(name) not in (None, "", "deep")}
     return {name: float(value) for name, value in given.items() if np.isfinite(float(value))}
-
-
-def _depth(depth: float) -> float:
-    """Return the depth of the water, m, unchanged; CubeError if it is not positive."""
-    if not depth > 0:
-        raise CubeError(f"the depth of the water is {depth} m: give a positive number, or inf")
-    return depth
 
 
 def dispersion(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: float = GRAVITY) -> Any:
@@ -71,21 +48,14 @@ def dispersion(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: flo
     k : array_like
         Wavenumber, rad/m, 0 or more.
     depth : float
-        Depth h of the water, m; infinite for deep water.
-    gamma : float
-        Surface tension over density, m3/s2.
-    g : float
-        Gravity, m/s2.
+        Depth h of the water, m; infinite for deep water. A CubeError is raised if it is not positive.
+    gamma, g : float
+        Surface tension over density, m3/s2, and gravity, m/s2.
 
     Returns
     -------
     float or ndarray
         Angular frequency, rad/s, in the shape of `k`.
-
-    Raises
-    ------
-    CubeError
-        If the depth is not positive.
 
     Examples
     --------
@@ -93,12 +63,12 @@ def dispersion(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: flo
 
     >>> round(float(dispersion(2 * np.pi * 20, 0.7)) / (2 * np.pi), 1)
     5.9
-    >>> float(dispersion(0.0))
-    0.0
     """
+    if not depth > 0:
+        raise CubeError(f"the depth of the water is {depth} m: give a positive number, or inf")
     k = np.asarray(k, float)
     # an infinite depth times k = 0 is no number; 1e300 m is deep
-    return np.sqrt((g * k + gamma * k**3) * np.tanh(k * min(_depth(depth), 1e300)))
+    return np.sqrt((g * k + gamma * k**3) * np.tanh(k * min(depth, 1e300)))
 
 
 def group_velocity(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: float = GRAVITY) -> Any:
@@ -108,22 +78,14 @@ def group_velocity(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g:
     ----------
     k : array_like
         Wavenumber, rad/m, above 0.
-    depth : float
-        Depth, m; infinite for deep water.
-    gamma : float
-        Surface tension over density, m3/s2.
-    g : float
-        Gravity, m/s2.
+    depth, gamma, g : float
+        Depth of the water, m, surface tension over density, m3/s2, and gravity, m/s2. A CubeError is raised
+        if the depth is not positive.
 
     Returns
     -------
     float or ndarray
         Group velocity, m/s, in the shape of `k`.
-
-    Raises
-    ------
-    CubeError
-        If the depth is not positive.
 
     Examples
     --------
@@ -135,7 +97,7 @@ def group_velocity(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g:
     """
     k = np.asarray(k, float)
     omega = dispersion(k, depth, gamma, g)
-    kh = np.minimum(k * min(_depth(depth), 1e300), 350.0)  # beyond it cosh overflows
+    kh = np.minimum(k * min(depth, 1e300), 350.0)  # beyond it cosh overflows
     felt = (g * k + gamma * k**3) * kh / (np.maximum(k, 1e-300) * np.cosh(kh) ** 2)
     return ((g + 3 * gamma * k**2) * np.tanh(kh) + felt) / (2 * omega)
 
@@ -147,20 +109,14 @@ def wavenumber(omega: ArrayLike, depth: float = np.inf, gamma: float = GAMMA) ->
     ----------
     omega : array_like
         Angular frequency, rad/s, 0 or more.
-    depth : float
-        Depth, m; infinite for deep water.
-    gamma : float
-        Surface tension over density, m3/s2.
+    depth, gamma : float
+        Depth of the water, m, and surface tension over density, m3/s2. A CubeError is raised if the depth is
+        not positive.
 
     Returns
     -------
     ndarray
         Wavenumber, rad/m, in the shape of `omega`.
-
-    Raises
-    ------
-    CubeError
-        If the depth is not positive.
 
     Examples
     --------
