@@ -1,8 +1,6 @@
 """Read and write grey images: TIFF, PNG, BMP, JPEG, and DaVis' IM7."""
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -44,9 +42,7 @@ def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
 
 
 def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
-    """Return a grey image, (row, column), from an open file; FrameError if it is damaged or unknown.
-    `name` is the file's name in messages. `page` is the index of an image in a TIFF file, needed if it has
-    several."""
+    """Return a grey image, (row, column), from an open file called `name`; FrameError if it is damaged."""
     start = stream.read(4)
     stream.seek(0)
     if start in tiff.STARTS:
@@ -60,7 +56,7 @@ def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
         return grey(images.read(page or 0))
     try:
         image = _decode(stream.read(), start)
-    except (imagecodecs.PngError, ValueError, cv2.error, MemoryError) as error:
+    except (imagecodecs.PngError, imagecodecs.BmpError, ValueError, MemoryError) as error:
         words = one_line(error)
         if re.search("unsupported (jpeg|color)", words, re.IGNORECASE):  # a valid file of an unsupported kind
             raise FrameError(f"{name} is not supported ({words}); save it as TIFF or PNG") from None
@@ -73,19 +69,12 @@ def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
 
 
 def _decode(data: bytes, start: bytes) -> np.ndarray | None:
-    """Return the image in the bytes of a PNG, JPEG or BMP file: (row, column) or (row, column, RGB).
-    `start` is the first bytes of the file, which tell the format; None if they are of another format."""
+    """Return the image of a PNG, JPEG or BMP file, (row, column[, RGB]); None for any other `start` of it."""
     if start == PNG:
         return np.asarray(imagecodecs.png_decode(data))
     if start[:3] == JPEG:  # strict: warnings of libjpeg, such as truncated data, are errors
         return np.asarray(simplejpeg.decode_jpeg(data, "GRAY", strict=True))[..., 0]
-    if start[:2] == BMP:
-        with _quiet():
-            image: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-        if image is None:
-            raise ValueError("its pixels do not fit its header")
-        return image if image.ndim == 2 else image[..., 2::-1]
-    return None
+    return np.asarray(imagecodecs.bmp_decode(data)) if start[:2] == BMP else None
 
 
 def _unknown(name: str, start: bytes) -> str:
@@ -100,8 +89,7 @@ def _unknown(name: str, start: bytes) -> str:
 
 def grey(image: np.ndarray) -> np.ndarray:
     """Return the luminance, (row, column), of an image (row, column, channel), in the image's type.
-    The channels are red, green, blue and possibly alpha, which is ignored. An image of one or two channels
-    gives its first channel; an image (row, column) is returned unchanged."""
+    The channels are red, green, blue and possibly alpha, which is ignored; of fewer the first is taken."""
     if image.ndim == 2:
         return image
     if image.shape[2] < 3:
@@ -113,22 +101,10 @@ def grey(image: np.ndarray) -> np.ndarray:
     return np.asarray(np.rint(luminance) if image.dtype.kind in "iu" else luminance, image.dtype)
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Context manager: silence OpenCV, because its messages about damage do not name the file."""
-    before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        if before != cv2.utils.logging.LOG_LEVEL_SILENT:  # else another thread will restore it
-            cv2.utils.logging.setLogLevel(before)
-
-
 def write_image(path: str | Path, image: np.ndarray, product: Product | None = None) -> None:
     """Write one grey image, (row, column), completely or not at all; the ending of `path` is the format.
-    TIFF is written uncompressed, and other formats, such as ``.png``, by OpenCV. Without a `product` any
-    plain file at `path` is replaced. With a `product` a file is replaced only if it is the same product,
-    unchanged. FrameError if the image cannot be written."""
+    Without a `product` any plain file at `path` is replaced. With a `product` a file is replaced only if it
+    is the same product, unchanged. FrameError if the image cannot be written."""
     path = Path(path)
     try:
         with atomic(path, product, replace=product is None) as draft:
@@ -145,16 +121,8 @@ def write_image(path: str | Path, image: np.ndarray, product: Product | None = N
 
 
 def fill_masked(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """Return a copy of an image, (row, column), in which masked pixels have the median grey level.
-
-    `covered` (row, column) is true at masked pixels. The median is over every eighth row and column of the
-    other pixels.
-
-    Examples
-    --------
-    >>> fill_masked(np.array([[1, 1, 9, 9]]), np.array([[False, False, True, True]]))
-    array([[1, 1, 1, 1]])
-    """
+    """Return a copy of an image, (row, column), in which pixels where `covered` have the median grey level.
+    The median is over every eighth row and column of the other pixels."""
     free = image[::8, ::8][~covered[::8, ::8]]
     out = image.copy()
     out[covered] = np.partition(free, free.size // 2)[free.size // 2] if free.size else 0

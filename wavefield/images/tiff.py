@@ -27,8 +27,8 @@ PAGES_TRIED = 4  # pages that are tested for thumbnails: if none of these is one
 
 class TiffImages:
     """The images of a TIFF file, (row, column) or (row, column, RGB), without its thumbnails.
-    `source` is a path or an open file, `name` the file's name in messages. FrameError if it is not a valid
-    TIFF file. ImageJ's stacks beyond 4 GB are read too; they describe only their first image."""
+    FrameError if it is not a valid TIFF file. ImageJ's stacks beyond 4 GB are read too; they describe only
+    their first image."""
 
     def __init__(self, source: str | BinaryIO, name: str) -> None:
         self.name = name
@@ -53,12 +53,7 @@ class TiffImages:
         try:
             number = index if self._stacked else self._pages[index]
             page: Any = self.file.pages[0 if self._stacked else number]
-        except IndexError:
-            raise FrameError(f"{self.name} has no image {index}: is it truncated?") from None
-        except Exception as error:
-            raise _corrupt(self.name, error) from None
-        refuse_page(page, self.name)
-        try:
+            refuse_page(page, self.name)
             _refuse_missing_parts(page, self.file.filehandle.size)
             if self._stacked and index:
                 return _as_bright(page, self._in_stack(page, index), self.name)
@@ -66,6 +61,8 @@ class TiffImages:
         except FrameError:
             raise
         except Exception as error:
+            if index >= self.count:
+                raise FrameError(f"{self.name} has no image {index}: is it truncated?") from None
             raise _corrupt(self.name, error) from None
 
     def _in_stack(self, page: Any, index: int) -> NDArray[Any]:
@@ -94,8 +91,7 @@ def _is_frame(page: tifffile.TiffPage) -> bool:
 
 
 def refuse_page(page: Any, name: str) -> None:
-    """Raise FrameError unless a page is a grey or colour image of real numbers that can be decoded.
-    `page` is a page of tifffile, `name` the file's name in messages."""
+    """Raise FrameError unless a page is a grey or colour image of real numbers that can be decoded."""
     if page.dtype is not None and page.dtype.kind == "c":
         raise FrameError(f"{name} has complex pixels; save their magnitudes")
     if page.imagedepth > 1:
@@ -120,19 +116,17 @@ def _words(code: Any) -> str:
 
 
 def _refuse_missing_parts(page: Any, size: int) -> None:
-    """Raise ValueError if pixels of a page are missing in the file, of `size` bytes.
-    Without this check tifffile would return zeros for strips or tiles that are empty or beyond the end of the
-    file."""
+    """Raise ValueError if pixels of a page are beyond the end of the file, of `size` bytes, or empty.
+    Without this check tifffile would return zeros for them."""
     ends = [start + count for start, count in zip(page.dataoffsets, page.databytecounts)]
     if not ends or min(page.databytecounts) == 0 or max(ends) > size:
         raise ValueError("the file ends before its pixels")
 
 
 def _as_bright(page: Any, image: NDArray[Any], name: str) -> NDArray[Any]:
-    """Return the decoded image of a page so that large values are bright: (row, column[, RGB]).
+    """Return the decoded image of a page, (row, column[, RGB]), so that large values are bright.
     Alpha is dropped, a palette is applied, an image in which 0 is white is inverted, and single bits become 0
-    or 255. `name` is the file's name in messages. FrameError if an image in which 0 is white has signed
-    numbers."""
+    or 255. FrameError if an image in which 0 is white has signed numbers."""
     if image.ndim == 3 and page.planarconfig == tifffile.PLANARCONFIG.SEPARATE:
         image = np.moveaxis(image, 0, -1)
     if page.extrasamples:

@@ -4,7 +4,7 @@ import os
 from collections import OrderedDict
 from pathlib import Path
 from threading import Lock
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -13,21 +13,13 @@ from wavefield.file_access import refuse_pipe
 from wavefield.images import grey, read_image
 from wavefield.images.tiff import ENDINGS as TIFF_ENDINGS
 from wavefield.images.tiff import TiffImages
-from wavefield.series.formats import open_recording, recording_path
+from wavefield.series.formats import Recording, open_recording, recording_path
 from wavefield.series.formats.arrays import ZarrImages, is_remote
 
 MAX_OPEN_FILES = 8  # per process; files with many frames stay open between reads
 
 Kind = Literal["file", "images"]
-
-
-class _Images(Protocol):
-    """An open file or store of many images, read by index from 0."""
-
-    count: int
-
-    def read(self, index: int) -> np.ndarray: ...
-    def close(self) -> None: ...
+_Images: TypeAlias = Recording | TiffImages | ZarrImages  # open files or stores of many images
 
 
 class FrameEntry(NamedTuple):
@@ -52,8 +44,7 @@ def read_entry(entry: FrameEntry) -> np.ndarray:
 
 
 def count_images(name: str | Path) -> tuple[Kind, int]:
-    """Return ("file", 1) for a file of one image, else ("images", number of images in the file or store).
-    FrameError if it is missing or damaged."""
+    """Return ("file", 1) for a file of one image, else ("images", number of images in the file or store)."""
     refuse_pipe(name, FrameError)
     path = Path(name)
     single = recording_path(path) is None and path.suffix.lower() not in (*TIFF_ENDINGS, ".zarr")
@@ -88,9 +79,7 @@ def close_files() -> None:
 
 
 def _kept_open(path: str) -> _Images:
-    """Return the open file of a path, and keep it open for later calls.
-    If more than eight files are open, the least recently used one is closed. FrameError if the file is
-    missing or damaged."""
+    """Return the open file of a path; the last eight stay open. FrameError if it is missing or damaged."""
     try:
         key = path, os.stat(path).st_mtime_ns  # a file that was copied again is opened again
     except OSError:

@@ -10,7 +10,7 @@ from wavefield.series.formats.davis_series import open_davis
 from wavefield.series.formats.photron import open_photron
 from wavefield.series.formats.recording import Recording
 from wavefield.series.formats.streampix import open_streampix
-from wavefield.series.formats.video import open_video
+from wavefield.series.formats.video import Video
 from wavefield.text import one_line
 
 _OPENERS: dict[str, Callable[[Path], Recording]] = {
@@ -23,10 +23,10 @@ _OPENERS: dict[str, Callable[[Path], Recording]] = {
     ".h5": open_hdf5,
     ".hdf5": open_hdf5,
     ".nc": open_hdf5,
-    ".avi": open_video,
-    ".mp4": open_video,
-    ".mov": open_video,
-    ".mkv": open_video,
+    ".avi": Video,
+    ".mp4": Video,
+    ".mov": Video,
+    ".mkv": Video,
 }
 ENDINGS = tuple(_OPENERS)
 VIDEO_ENDINGS = (".avi", ".mp4", ".mov", ".mkv")  # the rate in them is that of the playback
@@ -36,8 +36,7 @@ __all__ = ["ENDINGS", "VIDEO_ENDINGS", "Recording", "open_recording", "recording
 
 def open_recording(path: str | Path) -> Recording:
     """Open a recording; read its header, and an image only if the header gives no size (video, DaVis).
-    `path` is a file, or file/name for one of several series in the file. FrameError if the file is missing or
-    damaged, or if its ending is unknown."""
+    `path` is a file, or file/name for one of several series in it. FrameError if it cannot be read."""
     path = Path(path)
     file = recording_path(path)
     if file is None:

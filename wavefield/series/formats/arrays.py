@@ -15,7 +15,6 @@ from wavefield.text import one_line
 if TYPE_CHECKING:
     import h5py  # 12 MB in every worker, for the few who have such images
 
-_METADATA = ("zarr.json", ".zarray", ".zgroup", ".zmetadata")  # of a Zarr array or group
 _ENDINGS = (".h5", ".hdf5", ".nc")
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://")
 _SECRET = re.compile(r"://[^/]*@|\?.*=")  # a user before the host, or a query after the path
@@ -35,8 +34,10 @@ class _Dataset:
         self.count, self.shape = int(data.shape[0]), (int(data.shape[1]), int(data.shape[2]))
         self._times = _times(data)
         rate = data.attrs.get("frame_rate", file.attrs.get("frame_rate"))
-        self.rate = _rate(self._times) if rate is None else float(np.ravel(rate)[0])
-        self.first = 0
+        usual = usual_interval(self._times)
+        self.rate = float(f"{1 / usual:.6g}") if usual else None
+        if rate is not None:
+            self.rate = float(np.ravel(rate)[0])
 
     def read(self, index: int) -> Pixels:
         """Return the image at an index from 0, (row, column); FrameError if it cannot be read."""
@@ -69,21 +70,13 @@ def _times(data: h5py.Dataset) -> Times:
     return np.empty(0)
 
 
-def _rate(times: Times) -> float | None:
-    """Return the number of images per second from their times, s; None without times."""
-    usual = usual_interval(times)
-    return float(f"{1 / usual:.6g}") if usual > 0 else None
-
-
 def open_hdf5(path: Path) -> Recording:
     """Open a stack of images in an HDF5 file; FrameError if the file or the dataset cannot be read.
-    `path` is the file, or file/dataset if it holds several stacks. Times are read from the coordinate of the
-    first dimension, else from a dataset ``time`` in the same group. Their attribute ``units`` must be a unit
-    of time ("s", "ms since ..."). The rate is the attribute ``frame_rate``, else derived from the times."""
+    `path` is the file, or file/dataset if it holds several stacks. The rate is the attribute ``frame_rate``,
+    else derived from the times."""
     import h5py
 
     name = next(part for part in (path, *path.parents) if part.suffix.lower() in _ENDINGS)
-
     inside = path.relative_to(name).as_posix()
     try:
         file = h5py.File(name, "r")
@@ -97,9 +90,7 @@ def open_hdf5(path: Path) -> Recording:
 
 
 def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
-    """Return a dataset of an open HDF5 file: the dataset named `inside`, or the only stack of images.
-    `inside` is empty if the user names no dataset; `path` is the file, named in messages. FrameError if the
-    file holds no stack of that name, or without a name not exactly one stack."""
+    """Return a dataset of an open HDF5 file: the one named `inside`, or the only stack if this is empty."""
     import h5py
 
     series: list[str] = []
@@ -109,27 +100,36 @@ def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
             series.append(name)
 
     file.visititems(visit)
-    if inside:
-        if inside not in series:
-            raise FrameError(
-                f"{path} holds no images called {inside!r}; it has {', '.join(series) or 'none'}"
-            )
-        return file[inside]
-    if len(series) != 1:
-        some = ", ".join(f"{path.name}/{name}" for name in series[:5])
+    named = [name for name in series if inside in ("", name)]
+    if len(named) != 1:
+        what = f"images called {inside!r}" if inside else "single dataset of three dimensions"
+        there = ", ".join(f"{path.name}/{name}" for name in series[:5])
         raise FrameError(
-            f"{path} holds {len(series) or 'no'} datasets of three dimensions (time, row, column)"
-            + (f": name one, as {some}" if series else "")
+            f"{path} holds no {what} (time, row, column): name one, as {there or 'none is there'}"
         )
-    return file[series[0]]
+    return file[named[0]]
 
 
 class ZarrImages:
-    """A Zarr array (image, row, column) on a disk or in an object store.
-    `path` is a path or an address. FrameError if there is no such array."""
+    """A Zarr array (image, row, column) at a path or an address, or the array ``image`` of a group there."""
 
     def __init__(self, path: str) -> None:
-        self.path, self._array = path, _open_zarr(path)
+        import zarr  # takes long, for the few who have such images
+
+        try:
+            opened: Any = zarr.open(path, mode="r")
+        except Exception as error:
+            raise FrameError(
+                f"{path} is not a Zarr array ({one_line(error)}); of a folder of images name the images, as "
+                f"in {path}/{{frame}}.tif"
+            ) from None
+        if isinstance(opened, zarr.Group):  # as xarray writes it
+            opened = opened.get("image")
+        if not isinstance(opened, zarr.Array):
+            raise FrameError(f"{path} holds no array 'image'; name the array itself, as in {path}/NAME")
+        if opened.ndim != 3:
+            raise FrameError(f"{path} has {opened.ndim} dimensions, images need three: time, row, column")
+        self.path, self._array = path, opened
         self.count = int(self._array.shape[0])
 
     def read(self, index: int) -> Pixels:
@@ -143,49 +143,13 @@ class ZarrImages:
         """Do nothing: no file stays open."""
 
 
-def _open_zarr(path: str) -> Any:
-    """Return the Zarr array at a path or address; of a Zarr group, return its array ``image``.
-    FrameError if it cannot be opened or does not have three dimensions."""
-    import zarr  # takes long, for the few who have such images
-
-    folder = Path(path)
-    if folder.is_dir() and not any((folder / name).exists() for name in _METADATA):
-        raise FrameError(f"{path} is a folder and no Zarr array; name its images, as in {path}/{{frame}}.tif")
-    try:
-        opened = zarr.open(path, mode="r")
-    except Exception as error:
-        raise FrameError(f"{path} is not a Zarr array: {one_line(error)}") from None
-    if isinstance(opened, zarr.Group):  # as xarray writes it
-        if "image" not in opened:
-            raise FrameError(f"{path} holds no array 'image'; name the array itself, as in {path}/NAME")
-        opened = opened["image"]
-    if isinstance(opened, zarr.Group):
-        raise FrameError(f"{path} holds a group where an array should be; name the array itself")
-    if len(opened.shape) != 3:
-        raise FrameError(f"{path} has {len(opened.shape)} dimensions, images need three: time, row, column")
-    return opened
-
-
 def is_remote(name: str) -> bool:
-    """Whether a name is the address of an object store, such as s3://..., rather than a path.
-
-    Examples
-    --------
-    >>> is_remote("s3://bucket/cam1.zarr"), is_remote("C://images/cam1"), is_remote("cam1/img_0.tif")
-    (True, False, False)
-    """
+    """Whether a name is the address of an object store, such as s3://..., rather than a path."""
     return bool(_ADDRESS.match(name))
 
 
 def refuse_password(address: str) -> None:
-    """Raise ValueError, which does not repeat the address, if the address contains a password or token.
-
-    Examples
-    --------
-    >>> refuse_password("https://host/cam1.zarr?token=abc")
-    Traceback (most recent call last):
-    ValueError: the address contains a password or token: leave it to the environment (fsspec's configuration)
-    """
+    """Raise ValueError, which does not repeat the address, if the address contains a password or token."""
     if is_remote(address) and _SECRET.search(address):
         raise ValueError(
             "the address contains a password or token: leave it to the environment (fsspec's configuration)"

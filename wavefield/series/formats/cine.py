@@ -32,7 +32,7 @@ def open_cine(path: Path) -> Recording:
         head = stream.read(_HEADER.size)
         if len(head) < _HEADER.size or head[:2] != b"CI":
             raise FrameError(f"{path} is not a cine file")
-        _, _, compression, _, _, _, first, count, at_image, at_setup, at_offsets, *_ = _HEADER.unpack(head)
+        _, _, compression, _, _, _, _, count, at_image, at_setup, at_offsets, *_ = _HEADER.unpack(head)
         if compression == 1:
             raise FrameError(f"{path} holds JPEG images: save it uncompressed in the camera's program")
         stream.seek(at_image)
@@ -64,13 +64,12 @@ def open_cine(path: Path) -> Recording:
     complete = complete_images(path, len(offsets), start, each + 8)
     stamps = no_times if len(times) < complete else lambda: times[:complete]
     rate = float(rate) if rate else None
-    return RawRecording(path, complete, shape, start, take, rate, first, prefixed=True, times=stamps)
+    return RawRecording(path, complete, shape, start, take, rate, prefixed=True, times=stamps)
 
 
 def _times(stream: BinaryIO, at_setup: int, at_offsets: int) -> NDArray[np.float64]:
     """Return the times of the images of an open cine file, (n,), s; empty if the file has none.
-    `at_setup` and `at_offsets` are the positions, in bytes, of the file's block SETUP and of its list of
-    images."""
+    `at_setup` and `at_offsets` are the bytes at which the block SETUP and the list of images begin."""
     stream.seek(at_setup + _MARK)
     mark = stream.read(4)
     place = at_setup + int.from_bytes(mark[2:], "little")

@@ -9,15 +9,13 @@ from wavefield.series.formats.recording import Pixels, Recording, no_times, refu
 
 
 class _Set:
-    """A `Recording` that consists of one image of each buffer (.im7 file) of a DaVis set.
-    `frame` is the index, from 0, of this image in every buffer."""
+    """A `Recording` of the image with index `frame`, from 0, of each buffer (.im7 file) of a DaVis set."""
 
     def __init__(self, path: Path, buffers: list[Path], frame: int) -> None:
         self.path, self._buffers, self._frame = path, buffers, frame
         first = read_buffer(buffers[0], frame)
         self.count, self.shape = len(buffers), (first.shape[0], first.shape[1])
         self.rate: float | None = None
-        self.first = 0
         self.times = no_times
 
     def read(self, index: int) -> Pixels:
@@ -30,9 +28,7 @@ class _Set:
 
 
 def open_davis(path: Path) -> Recording:
-    """Open a DaVis set, ``run.set``, or ``run.set/1`` for the second image of each of its buffers.
-    FrameError if buffers are missing or damaged, or if the buffers have several images and the path does not
-    tell which one to read."""
+    """Open a DaVis set, ``run.set``, or ``run.set/1`` for the second image of each of its buffers."""
     name = path if path.suffix.lower() == ".set" else path.parent
     folder = name.with_suffix("")
     buffers = _in_order(list(folder.glob("*.im7")))
@@ -48,9 +44,8 @@ def open_davis(path: Path) -> Recording:
 
 
 def _in_order(buffers: list[Path]) -> list[Path]:
-    """Return the paths of buffers sorted by the number at the end of their names.
-    A number that is missing in between gets the path that its file should have, so that reading it fails. If
-    a name does not end in a number of up to six digits, all are sorted as text."""
+    """Return the paths of buffers sorted by the number at the end of their names, or else as text.
+    A number that is missing in between gets the path that its file should have, so that reading it fails."""
     ends = [re.search(r"(?<!\d)\d{1,6}$", path.stem) for path in buffers]
     numbered = {int(end[0]): path for end, path in zip(ends, buffers) if end}
     if not buffers or len(numbered) < len(buffers):

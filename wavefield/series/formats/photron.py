@@ -16,20 +16,16 @@ from wavefield.series.formats.recording import (
 _NEEDED = ("Total Frame", "Image Width", "Image Height", "Color Bit")
 _XML = {
     "Total Frame": "frameInfo/totalFrame",
-    "Start Frame": "frameInfo/startFrame",
     "Image Width": "imageDataInfo/resolution/width",
     "Image Height": "imageDataInfo/resolution/height",
     "Color Bit": "imageDataInfo/colorInfo/bit",
-    "Color Type": "imageDataInfo/colorInfo/type",
     "Record Rate(fps)": "recordInfo/recordRate",
-    "File Format": "imageFileInfo/fileFormat",
 }
 
 
 def open_photron(path: Path) -> Recording:
     """Open a recording of a Photron camera by the path of its .mraw, .cihx or .cih file.
-    FrameError if the pixels (.mraw) or the header (.cihx or .cih) are missing or damaged, or if the images
-    are not grey."""
+    FrameError if the pixels (.mraw) or the header are missing or damaged, or if the images are not grey."""
     note = _with_ending(path, ".cihx", ".cih", ".CIHX", ".CIH")
     if note is None:
         raise FrameError(f"{path} has no .cihx or .cih next to it, which states how large its images are")
@@ -42,8 +38,9 @@ def open_photron(path: Path) -> Recording:
         raise FrameError(f"{note} does not state {', '.join(missing)}: it is damaged")
     try:
         count, width, height, bits = (int(stated[name]) for name in _NEEDED)
+        rate = float(stated.get("Record Rate(fps)") or 0) or None
     except ValueError:
-        raise FrameError(f"{note} states sizes that are not integers: it is damaged") from None
+        raise FrameError(f"{note} states sizes or a rate that are not numbers: it is damaged") from None
     shape = checked_shape(note, width, height)
     if bits not in (8, 10, 12, 16):
         raise FrameError(f"{note}: images of {bits} bits a pixel are not read; save them in grey")
@@ -53,21 +50,12 @@ def open_photron(path: Path) -> Recording:
         return index * each
 
     complete = complete_images(raw, count, start, each)
-    rate, first = _number(stated.get("Record Rate(fps)")), _number(stated.get("Start Frame"))
-    return RawRecording(raw, complete, shape, start, take, rate, int(first or 0))
+    return RawRecording(raw, complete, shape, start, take, rate)
 
 
 def _with_ending(path: Path, *endings: str) -> Path | None:
     """Return `path` with the first of `endings` for which such a file exists; None if there is none."""
     return next((file for file in map(path.with_suffix, endings) if file.is_file()), None)
-
-
-def _number(text: str | None) -> float | None:
-    """Return a number from text; None without text or if it is not a number."""
-    try:
-        return float(text) if text else None
-    except ValueError:
-        return None
 
 
 def _read_text(path: Path) -> dict[str, str]:
@@ -81,8 +69,7 @@ def _read_text(path: Path) -> dict[str, str]:
 
 
 def _read_xml(path: Path) -> dict[str, str]:
-    """Return the entries of a .cihx file as text; the keys are the names that a .cih file uses.
-    FrameError if the XML is damaged."""
+    """Return the entries of a .cihx file as text, by the names that a .cih file uses."""
     data = path.read_bytes()
     xml = re.search(rb"<cih>.*</cih>", data, re.DOTALL)
     if not xml:

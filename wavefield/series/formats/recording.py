@@ -3,7 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from io import BytesIO, FileIO
+from io import FileIO
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,7 +15,6 @@ from wavefield.errors import FrameError
 
 Pixels = NDArray[Any]
 Times = NDArray[np.float64]
-Stream = FileIO | BytesIO
 
 
 class Recording(Protocol):
@@ -24,7 +23,6 @@ class Recording(Protocol):
     count: int  # Images in it
     shape: tuple[int, int]  # Rows and columns
     rate: float | None  # Images per second; None if the file does not tell
-    first: int  # Number that the camera gave the first image
 
     def read(self, index: int) -> Pixels:
         """Return the image at an index from 0, (row, column); FrameError if it cannot be read."""
@@ -34,16 +32,6 @@ class Recording(Protocol):
 
     def close(self) -> None:
         """Close the file."""
-
-
-def read_fully(out: Pixels, stream: Stream) -> None:
-    """Fill the array `out` with the next bytes of a file; EOFError if the file ends before."""
-    rest = memoryview(out.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # which is a buffer
-    while rest:
-        count = stream.readinto(rest)
-        if not count:
-            raise EOFError
-        rest = rest[count:]
 
 
 def no_times() -> Times:
@@ -60,9 +48,8 @@ class RawRecording:
     shape: tuple[int, int]  # Rows and columns
     start: Callable[[int], int]  # Returns the byte at which the image at an index, from 0, begins
     # Reads an image, (row, column), from a file positioned at its pixels; `EOFError` where it ends before
-    take: Callable[[Stream], Pixels]
+    take: Callable[[FileIO], Pixels]
     rate: float | None = None  # Images per second; None if the file does not tell
-    first: int = 0  # Number that the camera gave the first image
     prefixed: bool = False  # Whether a note precedes the pixels; its first four bytes are its length in bytes
     times: Callable[[], Times] = no_times  # Returns the times of the images, (count,), s; empty without
     _stream: FileIO | None = field(default=None, repr=False)
@@ -96,9 +83,8 @@ class RawRecording:
 
 
 def usual_intervals(times: Times) -> Times:
-    """Return the intervals between successive times, s, without those across dropped images.
-    They are the intervals that differ from the median interval by less than half of it. The array is empty if
-    the median is not positive."""
+    """Return the intervals between times, s, that differ from their median by less than half of it.
+    These are the intervals without dropped images. The array is empty if the median is not positive."""
     intervals = np.diff(times)
     middle = float(np.median(intervals)) if len(intervals) else 0.0
     return intervals[np.abs(intervals / middle - 1.0) < 0.5] if middle > 0 else np.empty(0)
@@ -117,8 +103,7 @@ def refuse_index(index: int, count: int, path: Path) -> None:
 
 
 def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
-    """Return (rows, columns) from the `width` and `height` in a file's header, px.
-    FrameError if one of them is not between 1 and 65536, as in a damaged header."""
+    """Return (rows, columns) from a file's header; FrameError if one is not between 1 and 65536."""
     if not (0 < width <= 65536 and 0 < height <= 65536):
         raise FrameError(f"{path} has images of {width} x {height} px by its header, which is damaged")
     return height, width
@@ -135,17 +120,17 @@ def complete_images(path: Path, count: int, start: Callable[[int], int], each: i
 
 def pixels(
     shape: tuple[int, int], bits: int, *, upside_down: bool = False
-) -> tuple[Callable[[Stream], Pixels], int]:
+) -> tuple[Callable[[FileIO], Pixels], int]:
     """Return a function that reads an image from an open file, and the number of bytes per image.
-    `shape` is (rows, columns), `bits` the bits per pixel. Pixels of 8 or 16 bits take one or two bytes;
-    others are packed without gaps, highest bit first. `upside_down` says that the file begins with the lowest
-    row (without effect on packed pixels)."""
+    Pixels of 8 or 16 `bits` take one or two bytes; others are packed without gaps, highest bit first.
+    `upside_down` says that the file begins with the lowest row (without effect on packed pixels)."""
     count = shape[0] * shape[1]
     size = (count * bits + 7) // 8
 
-    def take(stream: Stream) -> Pixels:
-        raw = np.empty(size, np.uint8)
-        read_fully(raw, stream)
+    def take(stream: FileIO) -> Pixels:
+        raw = np.fromfile(stream, np.uint8, size)
+        if raw.size < size:
+            raise EOFError
         if bits in (8, 16):
             out = raw.view("u1" if bits == 8 else "<u2").reshape(shape)
             return np.ascontiguousarray(out[::-1] if upside_down else out, out.dtype.newbyteorder("="))

@@ -23,7 +23,7 @@ class Video:
     FrameError if the file cannot be read as a video."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.first = path, 0
+        self.path = path
         self._open()
         packets = [packet for packet in self._container.demux(self._stream) if packet.size]
         shown = [packet for packet in packets if not packet.is_discard]
@@ -79,8 +79,7 @@ class Video:
         return np.array(self._stamps, float) * float(base or 1.0) - self._stamps[0] * float(base or 1.0)
 
     def _rate(self, times: Times) -> float | None:
-        """Return the frames per second, from `times`, s, with four digits, or else as the container states.
-        None if neither is known."""
+        """Return the frames per second, from `times`, s, with four digits, else as the container states."""
         if self._timed and self.count > 1:
             return float(f"{1 / usual_interval(times):.4g}")
         return float(self._stream.guessed_rate or self._stream.average_rate or 0) or None
@@ -102,13 +101,11 @@ class Video:
         raise FrameError(f"{self.path}, image {index}: cannot be decoded; is it damaged?")
 
     def _key(self, stamp: int) -> int:
-        """Return the time of the last key frame at or before `stamp`; both are in ticks of the container.
-        A key frame is coded without reference to other frames."""
+        """Return the time of the last key frame, coded without others, at or before `stamp`, in ticks."""
         return max((pts for pts, _ in self._keys if pts <= stamp), default=self._stamps[0])
 
     def _seek(self, stamp: int) -> None:
-        """Move to the last key frame at or before the time `stamp`, in ticks of the container.
-        If the frames have no times, or moving fails, go back to the first frame."""
+        """Move to the last key frame at or before the time `stamp`, in ticks, or else to the first frame."""
         key = dict(self._keys).get(self._key(stamp))
         if not self._timed or key is None:
             self._rewind()
@@ -120,22 +117,13 @@ class Video:
             return
         self._frames = self._decoded()
 
-    @property
-    def rotation(self) -> int:
-        """Rotation for display that the container gives, degrees; `read` does not turn the frames."""
-        self._rewind()
-        frame = next(iter(self._frames), None)
-        self._rewind()
-        return 0 if frame is None else int(getattr(frame, "rotation", 0))
-
     def close(self) -> None:
         """Close the file."""
         self._container.close()
 
 
 def _luminance(frame: Any) -> NDArray[Any]:
-    """Return the stored luminance of a decoded frame, (row, column), as 8 or 16 bits.
-    RGB and palette images are converted to grey."""
+    """Return the luminance of a decoded frame, (row, column), as 8 or 16 bits; colours become grey."""
     form = frame.format
     if form.is_rgb or form.has_palette:
         return grey(frame.to_ndarray(format="rgb24"))
@@ -146,8 +134,3 @@ def _luminance(frame: Any) -> NDArray[Any]:
     rows = np.frombuffer(plane, "u1" if bits <= 8 else f"{order}u2").reshape(frame.height, -1)
     out = rows[:, : frame.width]
     return np.ascontiguousarray(out, out.dtype.newbyteorder("="))
-
-
-def open_video(path: Path) -> Video:
-    """Open a video file; FrameError if it cannot be decoded or has no complete frame."""
-    return Video(path)
