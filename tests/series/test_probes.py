@@ -38,23 +38,23 @@ REFUSED = {
     "named milliseconds": (table(zip(TIMES, HEIGHTS), "time [ms],WG1"), "first line must be `time,NAME"),
     "dates": (
         table((f"2024-05-03 10:31:{38 + t:06.3f}", z) for t, z in zip(TIMES, HEIGHTS)),
-        "line 2: time is '2024-05-03 10:31:38.000', not a number; times are in seconds",
+        "line 2: '2024-05-03 10:31:38.000,.* is not 2 numbers; times are in seconds",
     ),
     "sentinel": (table((t, -99.99 if k == 7 else z) for k, (t, z) in enumerate(zip(TIMES, HEIGHTS))),
                  "varies by 100 m, more than any wave; state `unit:`.*leave cells without a value empty"),
     "a word": (table((t, "x" if k == 3 else z) for k, (t, z) in enumerate(zip(TIMES, HEIGHTS))),
-               "line 5: WG1 is 'x', not a number; leave"),
+               "line 5: .*,x' is not 2 numbers"),
     "inf": (table((t, "inf" if k == 3 else z) for k, (t, z) in enumerate(zip(TIMES, HEIGHTS))),
-            "line 5: WG1 is 'inf', not a number"),
+            "line 5: .*,inf' is not 2 numbers"),
     "temperature": (table(((t, z, 21.5) for t, z in zip(TIMES, HEIGHTS)), "time,WG1,T [°C]"),
-                    r"'T \[°C\]' is not the name of a probe"),
-    "semicolons": ("Zeit [s];WG1 [mm]\n0,00;1,5\n", "with commas, and it is 'Zeit"),
+                    "first line must be .* no brackets"),
+    "semicolons": ("Zeit [s];WG1 [mm]\n0,00;1,5\n", "and it is 'Zeit"),
     "logger": ('"TOA5","flume"\n"TIMESTAMP","RECORD","WG1"\n', "line 1: the first line must be"),
     "no header": (table(zip(TIMES, HEIGHTS), "# none"), "line 2: the first line must be"),
     "millimetres": (table(zip(TIMES, 1e4 * HEIGHTS)), "varies by 200 m, more than any wave; state `unit:`"),
-    "short line": ("time,p1,p2\n0,1,2\n1,2\n", "line 3: 2 values, but the header names 3 columns"),
+    "short line": ("time,p1,p2\n0,1,2\n1,2\n", "line 3: '1,2' is not 3 numbers"),
     "backwards": ("time,p1\n0,0\n2,1\n1,1\n", "line 4: time is not increasing"),
-    "twice": ("time,p1,p1\n0,0,1\n1,1,1\n", "two columns have the same name"),
+    "twice": ("time,p1,p1\n0,0,1\n1,1,1\n", "first line must be `time,NAME,NAME,...`"),
     "empty": ("", "fewer than two lines"),
 }  # fmt: skip
 
@@ -70,7 +70,8 @@ def test_anything_else_is_refused_with_what_was_found(tmp_path, kind):
 
 
 @pytest.mark.parametrize(
-    ("encoding", "sentence"), [("utf-16", "are UTF-16 text"), ("cp1252", "line 1: byte 0xb0 is not UTF-8")]
+    ("encoding", "sentence"),
+    [("utf-16", "line 1: byte 0xff is not UTF-8"), ("cp1252", "line 1: byte 0xb0 is not UTF-8")],
 )
 def test_other_encodings_are_named(tmp_path, encoding, sentence):
     (tmp_path / "probes.csv").write_bytes(("# 21 °C\n" + table(zip(TIMES, HEIGHTS))).encode(encoding))

@@ -71,8 +71,7 @@ def test_range_and_offset(tmp_path):
     ("names", "images", "message"),
     [
         (["a_1.tif"], "b_{frame}.tif", "no file in .* fits 'b_{frame}.tif'; the folder holds 'a_1.tif'"),
-        (["a_1.tif"], "a_{frame}_{frame}.tif", "frame}} twice|frame} twice"),
-        (["a_1.tif"], "a_1.tif", "one frame only"),
+        (["a_1.tif"], "a_1.tif", r"share no two frames \(frames of cam1 0 to 0\)"),
     ],
 )
 def test_names_that_cannot_be_numbered_are_refused(tmp_path, names, images, message):
@@ -82,22 +81,11 @@ def test_names_that_cannot_be_numbered_are_refused(tmp_path, names, images, mess
         open_frames(tmp_path, f'cam1: "cam1/{images}"')
 
 
-def test_folders_that_cannot_be_read_are_named(tmp_path, monkeypatch):
-    def deny(folder):
-        raise PermissionError(13, "Permission denied")
-
-    with pytest.raises(ExperimentError, match="images of cam1: there is no folder"):
-        open_frames(tmp_path, "cam1: nowhere/img_{frame}.tif")
+@pytest.mark.parametrize("folder", ["nowhere", "file"])
+def test_folders_that_cannot_be_read_are_named(tmp_path, folder):
     (tmp_path / "file").write_text("")
-    with pytest.raises(ExperimentError, match="is not a folder"):
-        open_frames(tmp_path, "cam1: file/img_{frame}.tif")
-    write_frames(tmp_path / "cam1", range(2))
-    monkeypatch.setattr("os.listdir", deny)  # the tests may run as root, who can read everything
-    with pytest.raises(
-        ExperimentError, match=r"cannot be read \(Permission denied\); check its permissions"
-    ) as caught:
-        open_frames(tmp_path, "cam1: cam1/img_{frame}.tif")
-    assert "\n" not in str(caught.value)
+    with pytest.raises(ExperimentError, match=rf"the folder .*{folder} cannot be read \(.*check its name"):
+        open_frames(tmp_path, f"cam1: {folder}/img_{{frame}}.tif")
 
 
 def test_a_list_keeps_its_order_and_gaps(tmp_path):

@@ -36,7 +36,6 @@ def test_a_zarr_array_of_images_is_read_in_place(tmp_path):
     [
         ("memory://lab/nowhere.zarr", "lab/nowhere.zarr"),
         ("nostore://lab/cam1.zarr", "is not a Zarr array"),
-        ("https://lab/img_{frame}.tif", "put them into one Zarr array"),
     ],
 )
 def test_what_is_not_read_is_named(tmp_path, name, words):

@@ -91,14 +91,12 @@ def test_a_table_of_points_without_a_size_takes_it_from_the_images(tmp_path):
     assert _find_in_file(table, target, sizes["cam1"]).size == (48, 30)
 
 
-@pytest.mark.parametrize("pattern", ["{camera}/*.tif", "{camera}/{camera}*.tif", "*/{camera}*.tif"])
-def test_a_camera_name_repeated_in_its_files_is_no_part_of_the_pose(tmp_path, pattern):
+def test_a_camera_name_in_the_pattern_is_no_part_of_the_pose(tmp_path):
     for camera in ("cam1", "cam2"):
         for pose in ("1", "2", "_10"):
             touch(tmp_path / camera / f"{camera}{pose}.tif")
-    views = find_views(note(tmp_path, pattern))
-    assert set(views["cam1"]) == set(views["cam2"])
-    assert len(set(views["cam1"].values())) == 3
+    views = find_views(note(tmp_path, "{camera}/{camera}*.tif"))
+    assert set(views["cam1"]) == set(views["cam2"]) == {"1", "2", "10"}
 
 
 def test_files_that_begin_with_another_name_keep_their_poses(tmp_path):

@@ -1,6 +1,7 @@
 """Cameras' clocks: rates and times in recordings, time stamps, and frame numbers from them."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,9 +10,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.formats import VIDEO_ENDINGS, open_recording, recording_path
-from wavefield.series.formats.arrays import SECONDS
 from wavefield.series.formats.recording import usual_interval, usual_intervals
-from wavefield.series.formats.video import Video
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import MAX_NUMBERS_PER_FRAME, Numbered
 from wavefield.series.probes import numbered_lines
@@ -21,44 +20,35 @@ Images = str | Sequence[str | None]  # images of a camera, as the experiment fil
 
 MAX_OFFSET = 0.25  # largest offset of a time stamp from an even time, intervals; at 0.5 it is ambiguous
 RATE_DISAGREEMENT = 0.01  # relative; velocities would be wrong by as much
-UNIT_TOLERANCE = 0.05  # relative; the experiment file may give a rounded rate
 DEPARTURE_STEP = 1e-4  # intervals: delays are rounded to this, which changes velocities by 0.01 %
 
 
 def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times | None:
-    """Return the times of a camera's images, (n,), s, as stated by its recordings.
-    `images` is the camera's entry in the experiment file, `folder` the folder of the images, and `frame_rate`
-    is in Hz. A video states playback times, which are scaled so that the usual interval is one frame
-    interval. Returns None if a file is not a recording or has no times, if there are several videos, or if
-    the times do not increase. ExperimentError if the time stamps of a recording other than a video contradict
-    the frame rate."""
-    parts, paths = [], recordings_of(images, camera, folder)
+    """Return the times of a camera's images, (n,), s, as stated by its recordings; None if they are unusable.
+    A video states playback times, which are scaled so that the usual interval is one frame interval.
+    ExperimentError if the time stamps of another recording contradict the frame rate, Hz."""
+    parts, paths, header = [], recordings_of(images, camera, folder), ""
     for path in paths:
         try:
-            recording = open_recording(path)
+            with closing(open_recording(path)) as recording:
+                parts.append(recording.times())
+                header = f", its header {recording.rate:g} Hz" if recording.rate else ""
         except FrameError:  # reported when the images are opened
             return None
-        parts.append(recording.times())
-        stated = recording.rate
-        recording.close()
-        if not len(parts[-1]):
-            return None
-    times = np.concatenate(parts) if parts else np.zeros(0)
+    times = np.concatenate(parts) if parts and all(map(len, parts)) else np.zeros(0)
     if len(times) < 2 or np.diff(times).min() <= 0:
         return None
     if is_video(paths[0]):
         return times / (usual_interval(times) * frame_rate) if len(paths) == 1 else None
-    header = f", its header {stated:g} Hz" if stated else ""
     refuse_other_rate(times, frame_rate, f"{paths[0]}: its time stamps are at {{rate:g}} Hz{header}")
     return times
 
 
 def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     """Raise ExperimentError if increasing time stamps, (n,), s, contradict a frame rate, Hz.
-    The mean interval between time stamps, without intervals across dropped frames, may differ by 1 % from the
-    frame interval. It may differ by its own uncertainty if that is larger: the largest minus the smallest
-    interval, divided by the number of intervals. The message begins with `words`, in which ``{rate:g}`` is
-    replaced by the rate of the time stamps."""
+    Their mean interval, without intervals across dropped frames, may differ from the frame interval by 1 %,
+    or by its own uncertainty if that is larger: the range of the intervals over their number. The message
+    begins with `words`, in which ``{rate:g}`` is replaced by the rate of the time stamps."""
     usual = usual_intervals(times)
     if not len(usual):
         return
@@ -66,17 +56,15 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     frames = interval * frame_rate  # frames per interval between time stamps
     if abs(frames - 1.0) > max(RATE_DISAGREEMENT, float(np.ptp(usual)) / interval / len(usual)):
         rate = float(f"{1.0 / interval:.4g}")
-        remedy = f"set `frame_rate: {rate:g}`, or correct the times (they are in seconds)"
-        for unit in ("milliseconds", "microseconds", "nanoseconds"):
-            if abs(frames * SECONDS[unit] - 1.0) < UNIT_TOLERANCE:
-                remedy = f"these look like {unit}; write seconds"
-        raise ExperimentError(f"{words.format(rate=rate)}, but frame_rate is {frame_rate:g} Hz: {remedy}")
+        raise ExperimentError(
+            f"{words.format(rate=rate)}, but frame_rate is {frame_rate:g} Hz: set `frame_rate: {rate:g}`, or "
+            "correct the times, which are in seconds"
+        )
 
 
 def read_time_stamps(path: Path, camera: str) -> Times:
-    """Return the times in a file of time stamps, (n,), s.
-    The file has one time per line, or is a CSV file with a column ``time``. `camera` is named in messages.
-    ExperimentError if the file cannot be read, or if its times are not increasing numbers."""
+    """Return the times in a file, (n,), s: one time per line, or a CSV file with a column ``time``.
+    ExperimentError, which names the `camera`, if the file has anything but increasing numbers."""
     times: list[float] = []
     column, columns = 0, 1
     for number, line in numbered_lines(path, f"the time stamps of {camera}"):
@@ -100,11 +88,10 @@ def read_time_stamps(path: Path, camera: str) -> Times:
 def place_by_time(
     numbered: Numbered, times: Times, start: float, frame_rate: float, path: Path, camera: str
 ) -> Numbered:
-    """Return a camera's frames renumbered from their time stamps; dropped frames leave gaps.
+    """Return a camera's frames renumbered from their time stamps, so that dropped frames leave gaps.
     `numbered` maps the previous frame numbers to the frames, and `times` (n,) are their time stamps, s, in
-    the order of these numbers. A frame at the time `start`, s, gets number 0. `path` (file of the time
-    stamps) and `camera` are named in messages. ExperimentError if there is not one time stamp per frame, or
-    if the time stamps do not fit `frame_rate`, Hz."""
+    the order of these numbers. A frame at the time `start`, s, gets number 0. ExperimentError if there is not
+    one time stamp per frame, or if the time stamps do not fit `frame_rate`, Hz."""
     if len(times) != len(numbered):
         raise ExperimentError(
             f"{path} holds {len(times)} times, but {camera} has {len(numbered)} images; every image needs one"
@@ -122,18 +109,10 @@ def place_by_time(
 
 
 def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
-    """Return a camera's frames renumbered from their times; dropped frames leave gaps.
-
-    `numbered` maps the previous frame numbers to the frames, and `times` (n,) are their times, s, in the
-    order of these numbers. The first frame keeps its number. Each further number exceeds the one before by
-    the interval between the two frames over the usual interval, rounded. All frames keep their numbers if an
-    interval is not near a multiple of the usual one, or if the new numbers span over 100 times the frames.
-
-    Examples
-    --------
-    >>> place_by_intervals({0: "a", 1: "b", 2: "c", 3: "d"}, np.array([7.0, 7.1, 7.2, 7.5]))
-    {0: 'a', 1: 'b', 2: 'c', 5: 'd'}
-    """
+    """Return a camera's frames renumbered from their times, (n,), s, so that dropped frames leave gaps.
+    The first frame keeps its number. Each further number exceeds the one before by the interval between the
+    two frames over the usual interval, rounded. All frames keep their numbers if an interval is not near a
+    multiple of the usual one, or if the new numbers span over 100 times the frames."""
     passed = np.diff(times) / usual_interval(times)
     steps = np.rint(passed)
     if np.abs(passed - steps).max() > MAX_OFFSET or steps.min() < 1:
@@ -146,11 +125,10 @@ def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
 
 
 def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
-    """Return the delay of each frame relative to even times, (n,), in frame intervals.
-    `series` are the frames by camera. The delay is the mean over the cameras' clocks, after the offset and
-    the rate of each clock are removed. The cameras are triggered together, so differences between their
-    clocks are noise of the time stamps; the mean is scaled down by the estimated share of this noise. Returns
-    None if the times are even or if no camera has usable times."""
+    """Return the delay of each frame relative to even times, (n,), in frame intervals; None without delays.
+    The delay is the mean over the cameras' clocks, after the offset and the rate of each clock are removed.
+    The cameras are triggered together, so differences between their clocks are noise of the time stamps; the
+    mean is scaled down by the estimated share of this noise."""
     each = [
         found
         for one in series.values()
@@ -172,17 +150,9 @@ def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
 
 def departures_by_clock(times: Times) -> Times | None:
     """Return the delay of each frame relative to even times, (n,), in frame intervals, by one clock.
-
     `times` (n,), s, are NaN for frames without a time, and so are their delays. A delay is the distance of a
-    time from the regression line of time on frame number. All delays are 0 if none exceeds the resolution of
-    the times. Returns None if there are fewer than three times, or if a delay exceeds a quarter of an
-    interval.
-
-    Examples
-    --------
-    >>> departures_by_clock(np.array([0.0, 0.05, 0.102, 0.15, 0.2])).round(3).tolist()
-    [-0.008, -0.008, 0.032, -0.008, -0.008]
-    """
+    time from the regression line of time on frame number; all are 0 if none exceeds the resolution of the
+    times. None if there are fewer than three times, or if a delay exceeds a quarter of an interval."""
     there = np.flatnonzero(np.isfinite(times))
     if len(there) < 3:
         return None
@@ -211,25 +181,21 @@ class Stated(NamedTuple):
 
     rate: float | None  # Frames per second (for a video, of its playback); None if not stated
     is_video: bool
-    rotation: int  # Rotation of a video for display, degrees; frames are read as stored
 
 
 def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[str, Stated]:
-    """Return the properties of each camera's first recording, by the camera's name.
-    Cameras without readable recordings are left out. `cameras` is the block ``cameras`` of the experiment
-    file as plain data, `folder` the folder of the images."""
+    """Return the properties of each camera's first readable recording, by the camera's name.
+    `cameras` is the block ``cameras`` of the experiment file as plain data."""
     found = {}
     for name, camera in cameras.items():
         images = camera.get("images") if isinstance(camera, Mapping) else camera
         paths = recordings_of(images, str(name), folder)
         try:
-            recording = open_recording(paths[0]) if paths else None
+            if paths:
+                with closing(open_recording(paths[0])) as recording:
+                    found[str(name)] = Stated(recording.rate, is_video(paths[0]))
         except FrameError:  # reported when the images are opened
             continue
-        if recording is not None:
-            turned = recording.rotation if isinstance(recording, Video) else 0
-            found[str(name)] = Stated(recording.rate, isinstance(recording, Video), turned)
-            recording.close()
     return found
 
 
@@ -240,8 +206,7 @@ def is_video(path: Path) -> bool:
 
 def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
     """Return the paths of a camera's recordings, in order; empty if one of its files is not a recording.
-    `images` is the camera's entry in the experiment file, `folder` the folder of the images. Only the names
-    are looked at; the files need not exist."""
+    Only the names are looked at; the files need not exist."""
     names = images if isinstance(images, list) else [images]
     paths = [folder / name.replace("{camera}", camera) for name in names if isinstance(name, str)]
     return paths if len(paths) == len(names) and all(map(recording_path, paths)) else []
@@ -249,26 +214,19 @@ def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
     """Return the frame rate, Hz, that the recordings of all cameras share; None if `rates` is empty.
-    `rates` maps camera names to the frame rates of the recordings. ExperimentError if a rate differs from the
-    first one by more than 1 %. `path` is the experiment file, named in the message."""
+    ExperimentError, which names the experiment file `path`, if rates differ by more than 1 %."""
     if not rates:
         return None
-    first = next(iter(rates))
-    for name, rate in rates.items():
-        if not is_alike(rate, rates[first]):
+    (first, rate), *others = rates.items()
+    for name, other in others:
+        if not is_alike(other, rate):
             raise ExperimentError(
-                f"{path}: {first} was recorded at {rates[first]:g} Hz and {name} at {rate:g}: state "
-                "frame_rate, and `times` for cameras that ran at another"
+                f"{path}: {first} was recorded at {rate:g} Hz and {name} at {other:g}: state frame_rate, and "
+                "`times` for cameras that ran at another"
             )
-    return rates[first]
+    return rate
 
 
 def is_alike(one: float, other: float) -> bool:
-    """Whether two rates agree within 1 %.
-
-    Examples
-    --------
-    >>> is_alike(500.0, 500.2), is_alike(500.0, 250.0)
-    (True, False)
-    """
+    """Whether two rates agree within 1 %."""
     return abs(one - other) <= RATE_DISAGREEMENT * abs(other)

@@ -123,9 +123,8 @@ def _cube(path: Path) -> xr.Dataset:
 
 
 def _smoothed(path: Path) -> xr.Dataset:
-    """Return the fields that `wavefield smooth` wrote to `path`, as a lazy Dataset.
-    StoreError if it is another kind of store, or if a file in it was lost or changed; Zarr alone would return
-    missing values for a lost file."""
+    """Return the fields that `wavefield smooth` wrote to `path`, lazily; StoreError for anything else.
+    Zarr alone would return missing values for a file that was lost."""
     mark = read_mark(path)
     if mark is None or mark.kind != "smoothed fields":
         what = "is not as it was written: make it again" if mark is None else f"is a {mark.kind}"
@@ -136,8 +135,7 @@ def _smoothed(path: Path) -> xr.Dataset:
 
 def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
     """Return a Dataset of one camera: ``image`` (time, row, column) and ``present`` (time).
-    `departures` are the delays of the frames, (n,), in frame intervals; they become the coordinate
-    ``departure``. Without departures the coordinate is left out."""
+    The delays of the frames, (n,), in frame intervals, if any, become the coordinate ``departure``."""
     array = FrameArray(series)
     image = xr.Variable(
         ("time", "row", "column"),

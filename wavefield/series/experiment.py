@@ -131,7 +131,8 @@ class Experiment(RecordSection):
         for name in self.velocity.cameras if self.velocity else ():
             if name not in self.cameras:
                 raise ValueError(f"velocity.cameras names {name!r}, but the cameras are {cameras}")
-        masks.refuse_misplaced(self.mask)
+        if any(shape.image for shape in self.mask.get(masks.WATER, ())):
+            raise ValueError("mask: an image belongs to a camera; on the water give a polygon")
         first, last = self.frames.first, self.frames.last
         if first is not None and last is not None and last <= first:
             raise ValueError(f"frames runs from {first} to {last}; a step needs two frames")
@@ -181,28 +182,13 @@ class Experiment(RecordSection):
         return self._path.parent / (self.folder or "")
 
     def resolve(self, name: str | Path) -> Path:
-        """Return the absolute path of a file that the experiment file names, other than an image.
-
-        Parameters
-        ----------
-        name : path
-            As in the experiment file; ``{folder}`` stands for the folder of the images.
-        """
+        """Return the absolute path of a file, other than an image, as the experiment file names it.
+        In the name, ``{folder}`` stands for the folder of the images."""
         return self._path.parent / str(name).replace("{folder}", str(self.image_folder))
 
     def at_rest(self) -> "Experiment":
-        """Return the record of still water as an experiment of its own.
-
-        Returns
-        -------
-        Experiment
-            The same cameras, rig and grid with the images of ``rest``.
-
-        Raises
-        ------
-        ExperimentError
-            If the file names no images of still water, or none for one of the measuring cameras.
-        """
+        """Return the record of still water as an experiment: the same cameras with the images of ``rest``.
+        ExperimentError if the file names no such images, or none for one of the measuring cameras."""
         if not self.rest:
             raise ExperimentError(f"{self.path} names no record at rest; add `rest:` with its images")
         patterns = self.rest if isinstance(self.rest, dict) else dict.fromkeys(self.cameras, self.rest)
@@ -211,10 +197,7 @@ class Experiment(RecordSection):
             raise ExperimentError(f"{self.path}: rest names no images of {', '.join(absent)}")
         if isinstance(self.rest, str) and len(self.cameras) > 1 and "{camera}" not in self.rest:
             raise ExperimentError(f"{self.path}: rest: {self.rest} does not contain {{camera}}")
-        unknown = [name for name in patterns if name not in self.cameras]
-        if unknown:
-            raise ExperimentError(f"{self.path}: rest names {unknown[0]!r}, which is no camera of it")
-        cameras = {name: CameraSection(images=pattern) for name, pattern in patterns.items()}
+        cameras = {name: CameraSection(images=patterns[name]) for name in self.cameras if name in patterns}
         changed = {"cameras": cameras, "frames": FramesSection(), "rest": None, "probes": None}
         return self.model_copy(update={"name": f"{self.name}, at rest", **changed})
 
@@ -225,8 +208,7 @@ class Experiment(RecordSection):
         -------
         dict of str to FrameSeries
             One series per camera, all over the same range of frame numbers. Missing files leave gaps, and so
-            do images that a camera dropped, as found from its time stamps (the key ``times``, or those in the
-            recording).
+            do images that a camera dropped, by its time stamps (key ``times``, or those in the recording).
 
         Raises
         ------
@@ -237,36 +219,14 @@ class Experiment(RecordSection):
         return with_backgrounds(series, self.background, self.resolve, self._path)
 
     def read_probes(self) -> Any:
-        """Read the wave probes.
-
-        Returns
-        -------
-        Dataset or None
-            As `wavefield.read_probes` returns it; None if the experiment file names no probes.
-
-        Raises
-        ------
-        ExperimentError
-            If the file of the probes is missing or wrong.
-        """
+        """Return the wave probes as `wavefield.read_probes` does; None if the experiment file names none."""
         if self.probes is None:
             return None
         options = self.probes.model_dump(include={"unit", "factor", "clock", "places"})
         return read_probes(self.resolve(self.probes.file), **options)
 
     def frame_times(self, series: FrameSeries) -> NDArray[np.float64]:
-        """Return the times of the frames, from their numbers and the frame rate.
-
-        Parameters
-        ----------
-        series : FrameSeries
-            The frames of any camera; all have the same numbers.
-
-        Returns
-        -------
-        ndarray, (n,)
-            Seconds; frame number 0 is at 0.
-        """
+        """Return the times of the frames of any camera, (n,), s; frame number 0 is at 0."""
         return (series.first + np.arange(len(series))) / self.frame_rate
 
     @property
@@ -278,7 +238,7 @@ class Experiment(RecordSection):
     def load_rig(
         self, path: str | Path | None = None, series: Mapping[str, FrameSeries] | None = None
     ) -> Rig:
-        """Load the rig, in any format of `wavefield.rig.formats`.
+        """Load the rig, in any format of `wavefield.rig.formats`, with z = 0 on the still water.
 
         Parameters
         ----------
@@ -286,11 +246,6 @@ class Experiment(RecordSection):
             Rig file, in place of the one that the experiment names.
         series : mapping of str to FrameSeries, optional
             The frames of each camera, to check the size of the images; some rig files do not state it.
-
-        Returns
-        -------
-        Rig
-            With z = 0 on the still water.
 
         Raises
         ------
@@ -343,8 +298,7 @@ class Experiment(RecordSection):
 
     @property
     def measuring_cameras(self) -> list[str]:
-        """Names of the cameras that the measurement uses, in the order of the file.
-        They are those in ``surface`` and ``velocity``; all cameras if the file has neither."""
+        """Names of the cameras in ``surface`` and ``velocity``, in the file's order; else of all cameras."""
         if self.surface is None and self.velocity is None:
             return list(self.cameras)
         used = {name for pair in (self.surface.pairs if self.surface else ()) for name in pair}
@@ -353,9 +307,8 @@ class Experiment(RecordSection):
 
 
 def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries) -> None:
-    """Raise RigError if a rig was made for images of another size than those of one camera.
-    `source` names the rig in messages, `size` is the (width, height) in px that the rig states, and `series`
-    are the frames of the camera. The message says so if the axes of the images are in another order."""
+    """Raise RigError if a rig was made for images of another size, (width, height), than those of a camera.
+    The message says so if the axes of the images are in another order."""
     rows, columns = series.shape
     if size == (columns, rows):
         return
@@ -373,8 +326,7 @@ def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries
 
 
 def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
-    """Raise RigError if two of the named cameras are at the same position.
-    `source` names the rig in messages. A rig that has only lens parameters is not checked."""
+    """Raise RigError if two of the named cameras are at the same position."""
     if rig.lenses_alone:
         return
     for k, one in enumerate(names):
@@ -386,14 +338,12 @@ def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
 
 def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, float] | None:
     """Return the elevations, m, at which an automatic grid has to stay in the cameras' view.
-    The setting `z_range` gives a pair (low, high). The setting `sheet_thickness` gives a number h, half the
-    thickness, for elevations from -h to h. Returns None if neither is set."""
+    The setting `z_range` gives a pair (low, high), and `sheet_thickness` half of it, for up and down. None
+    if neither is set."""
     try:
         if settings.get("z_range"):
             low, high = settings["z_range"]
             return float(low), float(high)
-        if settings.get("sheet_thickness"):
-            return 0.5 * float(settings["sheet_thickness"])
-    except (TypeError, ValueError):
-        pass  # reported when the settings are checked
-    return None
+        return 0.5 * float(settings["sheet_thickness"])
+    except (KeyError, TypeError, ValueError):  # wrong values are reported when the settings are checked
+        return None

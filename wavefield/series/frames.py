@@ -32,8 +32,7 @@ class CameraMask:
 
 @lru_cache(maxsize=16)
 def _covered(mask: CameraMask) -> NDArray[np.bool_]:
-    """Return a mask (row, column), read-only, true at masked pixels; the last 16 masks are kept in memory.
-    FrameError if a mask image cannot be read or has another size than the camera's images."""
+    """Return a mask (row, column), read-only, true at masked pixels; FrameError if a mask image is bad."""
     drawn = np.zeros(mask.shape, np.uint8)
     for outline in mask.outlines:
         cv2.fillPoly(drawn, [np.rint(outline).astype(np.int32)], 1)
@@ -48,10 +47,6 @@ def _covered(mask: CameraMask) -> NDArray[np.bool_]:
         out |= image != 0
     out.flags.writeable = False
     return out
-
-
-INTERLACED_SAMPLES = 5  # frames that are tested
-INTERLACED_RATIO = 1.05  # images of one moment: 0.73 to 1.0; interlaced: 1.02 to 1.13, median 1.10
 
 
 class Frame(NamedTuple):
@@ -144,8 +139,7 @@ class FrameSeries:
         return frame._replace(image=subtracted(frame.image, self.background))
 
     def covered(self, index: int) -> NDArray[np.bool_] | None:
-        """Return a mask (row, column), true at masked pixels; None if the camera has no mask.
-        The mask is the same at every `index`. FrameError if a mask image is bad."""
+        """Return a mask (row, column), true at masked pixels, the same at every index; None without one."""
         return None if self.mask is None else self.mask.covered()
 
     def read_uncovered(self, index: int) -> np.ndarray | None:
@@ -161,37 +155,13 @@ class FrameSeries:
         return replace(self, first=self.first + start, entries=entries, times=None)
 
 
-def is_interlaced(series: FrameSeries) -> bool:
-    """Whether odd and even rows of a camera's images were recorded at two moments, by up to five frames.
-    D1, D2 and D4 are the root mean square differences between rows 1, 2 and 4 apart. In an image of one
-    moment D1 D4 / D2^2 is at most 1 (0.73 for beads, 1 for noise). In interlaced images of moving beads it is
-    about 1.1. A colour mosaic has such a ratio along the columns as well; it is not taken for interlaced."""
-    found = []
-    for index in np.unique(np.linspace(0, len(series) - 1, INTERLACED_SAMPLES).astype(int)):
-        image = series.read(int(index)).image
-        if image is not None and min(image.shape) > 8:
-            found.append([_structure_ratio(image), _structure_ratio(image.T)])
-    if not found:
-        return False
-    rows, columns = np.median(found, axis=0)
-    return bool(rows > INTERLACED_RATIO > columns)
-
-
-def _structure_ratio(image: NDArray[Any]) -> float:
-    """Return D1 D4 / D2^2 of rows (see `is_interlaced`); 0 for an image without contrast."""
-    values = image.astype(np.float32)
-    d1, d2, d4 = (float(np.mean((values[k:] - values[:-k]) ** 2)) for k in (1, 2, 4))
-    return float(np.sqrt(d1 * d4)) / d2 if d2 > 0 else 0.0
-
-
 def subtracted(image: NDArray[Any], background: NDArray[Any]) -> NDArray[Any]:
     """Return an image minus a background of the same type, (row, column); negative differences become 0."""
     return np.asarray(image - np.minimum(image, background))
 
 
 def check_content(image: np.ndarray, place: str) -> Frame:
-    """Return an image as a `Frame`, with a fault if it is blank or has pixels that are not finite.
-    `place` is the text that names the frame in the message."""
+    """Return an image as a `Frame`, with a fault if it is blank or has pixels that are not finite."""
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())
         return Frame(None, FrameFault.UNREADABLE, f"{place} has {bad} pixels that are not finite numbers")

@@ -28,19 +28,13 @@ FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 
 def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
-    """Return the frames of a camera by frame number.
-    `images` is the camera's entry in the experiment file, `folder` the folder of the images. ExperimentError
-    if images are missing or cannot be numbered."""
+    """Return the frames of a camera by frame number, from its entry `images` in the experiment file.
+    ExperimentError if images are missing or cannot be numbered."""
     if not isinstance(images, str):
         return _from_list(images, folder, camera)
     name = images.replace("{camera}", camera)
     path = folder / name
     if FRAME.search(name):
-        if is_remote(name):
-            raise ExperimentError(
-                f"images of {camera}: {name}: image files are read from disks; mount the store, copy them, "
-                "or put them into one Zarr array"
-            )
         prefix = str(path.parent) + os.sep
         names = _names(path, camera)
         return {number: FrameEntry("file", prefix + name) for number, name in sorted(names.items())}
@@ -56,8 +50,7 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
 
 def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
     """Return the kind ("file" or "images") and the number of images of a file or store.
-    ExperimentError, which names the camera, if the file is missing or damaged or states over five million
-    images."""
+    ExperimentError if the file is missing or damaged, or states over five million images."""
     try:
         kind, count = count_images(path)
     except FrameError as error:
@@ -72,8 +65,7 @@ def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
 
 def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbered:
     """Return the frames of a list of files by frame number; the images are numbered on from 0.
-    An entry None or a file that does not exist leaves one number without a frame. ExperimentError if none of
-    the files exists, or if one is damaged."""
+    An entry None or a file that does not exist leaves one number without a frame."""
     out: Numbered = {}
     number = 0
     for item in images:
@@ -90,33 +82,16 @@ def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbe
     return out
 
 
-def list_folder(folder: Path, camera: str) -> list[str]:
-    """Return the names of the files in a folder; ExperimentError if it cannot be read."""
+def _names(path: Path, camera: str) -> dict[int, str]:
+    """Return the names of the files that match a pattern (``cam1/img_{frame}.tif``), by frame number."""
+    folder, pattern = path.parent, path.name
     try:
-        return os.listdir(folder)
-    except FileNotFoundError:
-        raise ExperimentError(f"images of {camera}: there is no folder {folder}") from None
-    except NotADirectoryError:
-        raise ExperimentError(f"images of {camera}: {folder} is not a folder") from None
+        names = os.listdir(folder)
     except OSError as error:
         raise ExperimentError(
-            f"images of {camera}: the folder {folder} cannot be read ({error.strerror}); "
-            "check its permissions and that its disk is mounted"
+            f"images of {camera}: the folder {folder} cannot be read ({error.strerror}); check its name and "
+            "permissions, and that its disk is mounted"
         ) from None
-
-
-def _names(path: Path, camera: str) -> dict[int, str]:
-    """Return the names of the files that match a pattern, by frame number.
-    `path` is a folder with the pattern as its last part, such as ``cam1/img_{frame}.tif``. ExperimentError if
-    no file matches or the pattern is wrong."""
-    folder, pattern = path.parent, path.name
-    if re.search(r"[*?]|\{frame", str(folder)):
-        raise ExperimentError(
-            f"images of {camera}: {path} has a pattern in its folder; only the file may vary"
-        )
-    if len(FRAME.findall(pattern)) > 1:
-        raise ExperimentError(f"images of {camera}: {pattern} has {{frame}} twice")
-    names = list_folder(folder, camera)
     numbered = _numbers_by_mark(names, pattern, camera)
     if not numbered:
         alike = sorted(name for name in names if name.endswith(path.suffix)) or sorted(names)
@@ -126,9 +101,8 @@ def _names(path: Path, camera: str) -> dict[int, str]:
 
 
 def _numbers_by_mark(names: Sequence[str], pattern: str, camera: str) -> dict[int, str]:
-    """Return the file names that match a pattern such as ``run-*-{frame}.tif``, by frame number.
-    `names` are all names in the folder; names that do not match are left out. ExperimentError if two files
-    have the same number, or if a wildcard is next to ``{frame}``."""
+    """Return those of `names` that match a pattern such as ``run-*-{frame}.tif``, by frame number.
+    ExperimentError if two files have the same number, or if a wildcard is next to ``{frame}``."""
     parts = re.split(r"(\*|\?|\{frame[^}]*\})", pattern)
     if re.search(r"[*?]\{frame|\{frame[^}]*\}[*?]", pattern):
         raise ExperimentError(
@@ -155,8 +129,7 @@ def make_series(
 ) -> dict[str, FrameSeries]:
     """Return one series per camera, over the frame numbers `first` to `last`, both included.
     `numbered` has the frames of each camera by number. `clocks` has the times, s, of all frames of a camera,
-    in order; cameras without times are absent. One frame of each camera is read, for shape and type.
-    ExperimentError if no frame of a camera can be read."""
+    in order; cameras without times are absent. One frame of each camera is read, for shape and type."""
     out = {}
     for camera, frames in numbered.items():
         entries = [frames.get(number) for number in range(first, last + 1)]
@@ -168,22 +141,10 @@ def make_series(
     return out
 
 
-def _file_size(entry: FrameEntry) -> int:
-    """Return the size of the file of a frame, bytes; 0 for files of many images."""
-    try:
-        return os.stat(entry.path).st_size if entry.kind == "file" else 0
-    except OSError:
-        return 0
-
-
 def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tuple[int, int], str]:
-    """Return the shape (rows, columns) and the type of a camera's frames, as found by reading one frame.
-    It is the frame of median file size among five of the record, or else the first of them that can be read.
-    ExperimentError if none of the five can be read."""
+    """Return shape (rows, columns) and type of the first of five frames of the record that is readable."""
     present = [entry for entry in entries if entry is not None]
-    # a single frame may have another size: start with the median size of five
-    five = [present[k] for k in from_first_to_last(len(present), 5)] if present else []
-    tried = list(dict.fromkeys([*sorted(five, key=_file_size)[2:3], *five]))
+    tried = [present[k] for k in from_first_to_last(len(present), 5)] if present else []
     problem = "there are none in the range of frames"
     for entry in tried:
         try:

@@ -49,8 +49,7 @@ class MaskSection(ConfigSection):
 
 def normalized(masks: object, cameras: Collection[str]) -> object:
     """Return the block ``mask`` of an experiment file as plain data: a list of mappings for each key.
-    A single entry becomes a list of one, and a file name becomes ``{"image": name}``. ValueError if a key is
-    neither one of `cameras` nor ``water``."""
+    A file name becomes ``{"image": name}``. ValueError if a key is neither one of `cameras` nor ``water``."""
     if not isinstance(masks, Mapping):
         return masks
     out: dict[str, list[object]] = {}
@@ -60,12 +59,6 @@ def normalized(masks: object, cameras: Collection[str]) -> object:
         several = shapes if isinstance(shapes, list) else [shapes]
         out[name] = [{"image": shape} if isinstance(shape, str) else shape for shape in several]
     return out
-
-
-def refuse_misplaced(masks: Mapping[str, Sequence[MaskSection]]) -> None:
-    """Raise ValueError if a mask under the key ``water`` is an image."""
-    if any(shape.image for shape in masks.get(WATER, ())):
-        raise ValueError("mask: an image belongs to a camera; on the water give a polygon")
 
 
 def footprints(masks: Mapping[str, Sequence[MaskSection]]) -> tuple[Outline, ...]:
@@ -82,61 +75,35 @@ def covered_series(
     """Return the frames of each camera with the camera's own masks and the masks on the water.
     `masks` is the block ``mask`` of the experiment file, `folder` the folder of its mask images. The `rig`
     projects masks on the water into the images. ExperimentError if a mask image is missing or of another
-    size, if a polygon is outside the image, or if the masks cover a whole image."""
+    size, or if the masks cover a whole image."""
     out = {}
     for name, frames in series.items():
         own, on_water = masks.get(name, ()), masks.get(WATER, ())
-        drawn = [_in_image(name, shape.polygon, frames.shape) for shape in own if shape.polygon]
+        drawn = [tuple(shape.polygon) for shape in own if shape.polygon]
         projected = [outline_in_image(shape, rig[name]) for shape in on_water]
         mask = CameraMask(
             frames.shape,
             (*drawn, *(outline for outline in projected if outline)),
-            tuple(_file(name, folder / shape.image) for shape in own if shape.image),
+            tuple(FrameEntry("file", str(folder / shape.image)) for shape in own if shape.image),
         )
         if mask == CameraMask(frames.shape):
             out[name] = frames
             continue
-        _refuse_useless(name, mask)
+        try:
+            everywhere = mask.covered().all()
+        except FrameError as error:
+            raise ExperimentError(f"mask of {name}: {error}") from None
+        if everywhere:
+            raise ExperimentError(
+                f"mask of {name}: it covers the whole image; all that is not black is masked: invert it?"
+            )
         out[name] = replace(frames, mask=mask)
     return out
 
 
-def _refuse_useless(name: str, mask: CameraMask) -> None:
-    """Raise ExperimentError if the mask of a camera has a bad image or covers the whole image."""
-    try:
-        covered = mask.covered()
-    except FrameError as error:
-        raise ExperimentError(f"mask of {name}: {error}") from None
-    if covered.all():
-        raise ExperimentError(
-            f"mask of {name}: it covers the whole image; what is not black is masked, so perhaps invert it"
-        )
-
-
-def _file(name: str, path: Path) -> FrameEntry:
-    """Return the entry of a camera's mask image; ExperimentError if there is no such file."""
-    if not path.is_file():
-        raise ExperimentError(
-            f"mask of {name}: there is no {path}; correct `mask` (one image for all frames), or save it there"
-        )
-    return FrameEntry("file", str(path))
-
-
-def _in_image(name: str, polygon: Sequence[tuple[float, float]], size: tuple[int, int]) -> Outline:
-    """Return the polygon, (column, row) in px, of the mask of a camera (`name`) as an outline.
-    ExperimentError if it is outside an image of `size` (rows, columns)."""
-    (left, top), (right, bottom) = np.min(polygon, axis=0), np.max(polygon, axis=0)
-    if right < 0 or bottom < 0 or left > size[1] - 1 or top > size[0] - 1:
-        raise ExperimentError(
-            f"mask of {name}: the polygon from column {left:g}, row {top:g} to column {right:g}, row "
-            f"{bottom:g} is outside the image of {size[1]} x {size[0]} px; give columns and rows in it"
-        )
-    return tuple(polygon)
-
-
 def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
-    """Return the outline of a mask on the water, as (column, row) in px of a camera's image.
-    The water is taken at z = 0. The outline is empty if the mask is out of the camera's view."""
+    """Return the outline of a mask on the still water, as (column, row) in px of a camera's image.
+    It is empty if the mask is out of the camera's view."""
     p = np.array(shape.polygon)
     t = np.arange(POINTS_PER_SIDE)[:, None] / POINTS_PER_SIDE
     edge = np.concatenate([a + t * (b - a) for a, b in zip(p, np.roll(p, -1, axis=0))])
@@ -152,8 +119,7 @@ def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
 
 def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, list[dict[str, object]]]:
     """Return masks as plain data for the recipe of a cube, by camera or ``water``.
-    Each mask image has a checksum of its file as the entry ``content``. `folder` is the folder of mask
-    images."""
+    Each mask image has a checksum of its file as the entry ``content``."""
     out: dict[str, list[dict[str, object]]] = {}
     for name, shapes in masks.items():
         out[name] = [shape.model_dump(exclude_none=True, mode="json") for shape in shapes]

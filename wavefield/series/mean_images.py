@@ -19,9 +19,8 @@ Image = NDArray[Any]
 
 
 def mean_image(series: FrameSeries, frames: int) -> Image:
-    """Return the mean of evenly spaced frames of a camera, (row, column), in the type of the frames.
-    `frames` is the number of frames to average; bad frames among them are left out. FrameError if none of
-    them can be read."""
+    """Return the mean of some evenly spaced frames of a camera, (row, column), in the type of the frames.
+    Bad frames among them are left out; FrameError if none of them can be read."""
     total, count = np.zeros(series.shape), 0
     for index in evenly_spaced(len(series), frames):
         image = series.read(int(index)).image
@@ -40,8 +39,8 @@ def read_backgrounds(
     experiment: Path,
 ) -> dict[str, Image]:
     """Return the background images, (row, column), by camera; cameras without one are left out.
-    `named` is the key ``background`` of the experiment file, `resolve` turns a name in it into a path, and
-    `experiment` is the path of the file, for messages. ExperimentError if an image cannot be read."""
+    `named` is the key ``background`` of the experiment file, and `resolve` turns a name in it into a path.
+    ExperimentError, which names the experiment file, if an image cannot be read."""
     files = {name: named if isinstance(named, str) else (named or {}).get(name) for name in cameras}
     out = {}
     for name, file in files.items():
@@ -59,8 +58,7 @@ def read_backgrounds(
 def refuse_other_images(
     background: Image, name: str, shape: tuple[int, ...], dtype: str, experiment: Path
 ) -> None:
-    """Raise ExperimentError if the background of a camera has another shape or type than its frames.
-    `name` is the camera, `shape` and `dtype` are those of its frames, `experiment` is the experiment file."""
+    """Raise ExperimentError if the background of camera `name` has another shape or type than its frames."""
     if background.shape != shape or background.dtype != dtype:
         raise ExperimentError(
             f"{experiment}: background of {name}: it is {background.shape[1]} x {background.shape[0]} "
@@ -76,8 +74,7 @@ def with_backgrounds(
     experiment: Path,
 ) -> dict[str, FrameSeries]:
     """Return the frames of each camera, from which the camera's background will be subtracted.
-    `series` are the frames by camera. The other arguments are as for `read_backgrounds`. ExperimentError if a
-    background cannot be read, or differs from the frames in shape or type."""
+    ExperimentError if a background cannot be read, or differs from the frames in shape or type."""
     images = read_backgrounds(named, series, resolve, experiment)
     for name, image in images.items():
         refuse_other_images(image, name, series[name].shape, series[name].dtype, experiment)
@@ -98,8 +95,7 @@ def write_backgrounds(
 ) -> list[Path]:
     """Write the mean of `frames` frames of each camera to folder/CAMERA.tif, and return these paths.
     `source` identifies the experiment (`identity_of`). An existing file is replaced only if it is an
-    unchanged background from the same source. StoreError if any other file is there, FrameError if no frame
-    of a camera can be read."""
+    unchanged background from the same source; otherwise a StoreError is raised."""
     product = Product("background", source or identity_of())
     files = {name: folder / f"{name}.tif" for name in series}
     for file in files.values():

@@ -1,6 +1,5 @@
 """Wave probes: one documented table, read by numpy."""
 
-import codecs
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -105,8 +104,6 @@ def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
         data = path.read_bytes()
     except OSError as error:
         raise ExperimentError(f"cannot read {what} {path}: {error.strerror}") from None
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise ExperimentError(f"{what} {path} are UTF-16 text; save them as CSV in UTF-8")
     try:
         lines = data.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -119,52 +116,36 @@ def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
 
 
 def _names(path: Path, number: int, line: str) -> list[str]:
-    """Return the names in the header of a probe file, `line`; the first is ``time``.
-    `number` is the number of this line. ExperimentError if the header is not ``time,NAME,...``, or if a name
-    is repeated or contains brackets."""
+    """Return the names in the header `line`, ``time,NAME,...``, which is line `number` of the file."""
     names = [name.strip().strip('"') for name in line.split(",")]
-    form = "the first line must be `time,NAME,NAME,...`"
-    if len(names) < 2 or names[0] != "time":
-        raise ExperimentError(f"{path}, line {number}: {form}, with commas, and it is {line.strip()[:60]!r}")
-    for name in names:
-        if not name or any(mark in name for mark in "[](){}"):
-            raise ExperimentError(
-                f"{path}, line {number}: {name!r} is not the name of a probe: {form}; the unit of all probes "
-                "is `unit:` in the experiment file, and columns that are not elevations have to be removed"
-            )
-    if len(set(names)) < len(names):
-        raise ExperimentError(f"{path}, line {number}: two columns have the same name")
+    odd = any(not name or set(name) & set("[](){}") for name in names)
+    if len(names) < 2 or names[0] != "time" or odd or len(set(names)) < len(names):
+        raise ExperimentError(
+            f"{path}, line {number}: the first line must be `time,NAME,NAME,...` with the names of probes, "
+            f"commas and no brackets (`unit:` is in the experiment file), and it is {line.strip()[:60]!r}"
+        )
     return names
 
 
 def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArray[np.float64]:
-    """Return the numbers in `lines`, (number of the line, text), as an array (line, column).
-    Empty cells are NaN; `names` are the names of the columns. ExperimentError for a cell that is not a
-    number, or a line with another number of cells."""
+    """Return the numbers in `lines`, (number of the line, text), as an array (line, column); empty is NaN."""
     table = np.empty((len(lines), len(names)))
     for row, (number, line) in zip(table, lines):
-        cells = line.split(",")
-        if len(cells) != len(names):
-            raise ExperimentError(
-                f"{path}, line {number}: {len(cells)} values, but the header names {len(names)} columns"
-            )
-        for k, cell in enumerate(cells):
-            try:
-                row[k] = float(cell.strip() or "nan")
-            except ValueError:
-                row[k] = np.inf
+        cells = [cell.strip() or "nan" for cell in line.split(",")]
+        try:
+            row[:] = np.array(cells, float) if len(cells) == len(names) else np.inf
+        except ValueError:
+            row[:] = np.inf
         if np.isinf(row).any():
-            k = int(np.argmax(np.isinf(row)))
-            remedy = "leave a cell without a value empty" if k else "times are in seconds, frame 0 at 0"
             raise ExperimentError(
-                f"{path}, line {number}: {names[k]} is {cells[k].strip()!r}, not a number; {remedy}"
+                f"{path}, line {number}: {line.strip()[:60]!r} is not {len(names)} numbers; times are in "
+                "seconds, and a cell without a value is empty"
             )
     return table
 
 
 def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> None:
-    """Raise ExperimentError if times, s, do not increase or if their median interval exceeds 2 s.
-    `numbers` are the numbers of the lines of the file that contain the times."""
+    """Raise ExperimentError if times, s, do not increase or if their median interval exceeds 2 s."""
     steps = np.diff(times)
     if not (steps > 0).all():
         later = int(np.argmin(steps > 0)) + 1

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wavefield.errors import ExperimentError
+from wavefield.images import ENDINGS
 
 MIN_IMAGES = 3  # images of a record; fewer are not taken for one
 # words in the names of images of targets or still water, in English, French and German
@@ -16,7 +17,6 @@ _NO_WAVES = re.compile(
     r"|rest|still|repos|ruhe|(?<![a-z])(flat|level|plan|flach)(?![a-z])",
     re.IGNORECASE,
 )
-IMAGE_ENDINGS = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 
 
 _NOTE = """\
@@ -59,14 +59,11 @@ def files_below(folder: Path) -> Iterator[Path]:
 
 
 def image_paths(folder: Path) -> list[str]:
-    """Return the sorted paths, relative to a folder, of all images below it.
-    ExperimentError if it is not a folder."""
+    """Return the sorted paths, relative to a folder, of all images below it."""
     if not folder.is_dir():
         raise ExperimentError(f"{folder} is not a folder; name the one that contains the images")
     return sorted(
-        path.relative_to(folder).as_posix()
-        for path in files_below(folder)
-        if path.suffix.lower() in IMAGE_ENDINGS
+        path.relative_to(folder).as_posix() for path in files_below(folder) if path.suffix.lower() in ENDINGS
     )
 
 
@@ -99,9 +96,7 @@ def find_series(paths: Sequence[str]) -> list[NumberedImages]:
 
 
 def camera_names(patterns: Sequence[str]) -> list[str]:
-    """Return a camera name for each pattern, in order.
-    The names are those of the folders that contain the images, if these are distinct words; otherwise cam1,
-    cam2, ..."""
+    """Return a camera name for each pattern: its folder if these are distinct words, else cam1, ..."""
     folders = [pattern.rpartition("/")[0].rpartition("/")[2] for pattern in patterns]
     words = {folder for folder in folders if re.fullmatch("[A-Za-z][A-Za-z0-9_]+", folder)}
     return folders if len(words) == len(patterns) else [f"cam{k}" for k in range(1, len(patterns) + 1)]
@@ -148,20 +143,16 @@ def propose(folder: str | Path) -> str:
             f"{folder}: numbered images of two cameras at least are needed, and there are {present}; name "
             "the folder that contains those of all cameras"
         )
-    records = dict(zip(camera_names([one.pattern for one in waves]), waves))
+    cameras = []
+    for camera, one in zip(camera_names([one.pattern for one in waves]), waves):
+        low, high = one.numbers[0], one.numbers[-1]
+        images = f'images: "{one.pattern}"' + (f", offset: {-low}" if low else "")
+        cameras.append(f"  {camera}: {{{images}}}    # {len(one.numbers)} images, {low} to {high}")
     name = re.sub(r"[^A-Za-z0-9_.-]+", "-", folder.name) or "experiment"
     left_out = sum(bool(_NO_WAVES.search(path)) for path in paths)
     return _NOTE.format(
         folder=folder.name,
         name=name,
-        cameras="\n".join(_cameras(records)),
+        cameras="\n".join(cameras),
         others=f"# {left_out} images are not of waves, by their names.\n" if left_out else "",
     )
-
-
-def _cameras(records: dict[str, NumberedImages]) -> Iterator[str]:
-    """Yield the line of each camera in the proposed file."""
-    for name, one in records.items():
-        low, high = one.numbers[0], one.numbers[-1]
-        offset = f", offset: {-low}" if low else ""
-        yield f'  {name}: {{images: "{one.pattern}"{offset}}}    # {len(one.numbers)} images, {low} to {high}'

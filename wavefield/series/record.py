@@ -1,6 +1,6 @@
 """The frames of a record: numbered, renumbered by time stamps, and cut to a common range."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +30,8 @@ def open_record(
     record: RecordSection, path: Path, folder: Path, measuring: Sequence[str]
 ) -> dict[str, FrameSeries]:
     """Return the frames of every camera, over the frame numbers that all measuring cameras span.
-    ``frames`` in the experiment file replaces this range. `path` is the experiment file, `folder` the folder
-    of the images, and `measuring` lists the names of the measuring cameras. ExperimentError if images are
-    missing or cannot be numbered, or if the measuring cameras share no two frame numbers."""
+    ``frames`` in the experiment file, `path`, replaces this range. ExperimentError if images are missing or
+    cannot be numbered, or if the measuring cameras share no two frame numbers."""
     numbered = {name: number_frames(one.images, folder, name) for name, one in record.cameras.items()}
     numbered, clocks = _place_by_clocks(record, numbered, path, folder)
     for name, section in record.cameras.items():
@@ -44,27 +43,18 @@ def open_record(
     first = max(min(frames) for frames in used.values()) if first is None else first
     last = min(max(frames) for frames in used.values()) if last is None else last
     if last <= first:
-        raise ExperimentError(f"{path}: {_no_common_step(used)}")
+        ranges = ", ".join(f"{name} {min(frames)} to {max(frames)}" for name, frames in used.items())
+        raise ExperimentError(
+            f"{path}: the cameras share no two frames (frames of {ranges}), which a step needs; correct "
+            "`offset`, or `frames` if it is given"
+        )
     _refuse_sparse_numbers(path, list(used.values()), first, last)
     return make_series(numbered, first, last, clocks)
 
 
-def _no_common_step(numbered: Mapping[str, Numbered]) -> str:
-    """Return a message on cameras that share no two frame numbers."""
-    ranges = {name: (min(frames), max(frames)) for name, frames in numbered.items()}
-    if all(low == high for low, high in ranges.values()):
-        return "there is one frame only; a step needs two"
-    listed = ", ".join(f"{name} {low} to {high}" for name, (low, high) in ranges.items())
-    return (
-        f"the cameras share no two frames (frames of {listed}); correct `offset`, or `frames` if it is given"
-    )
-
-
 def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int, last: int) -> None:
     """Raise ExperimentError if the range of frame numbers is huge compared with the number of frames.
-    `numbered` has the frames of each camera by number; the range is `first` to `last`, both included. The
-    limits are 100 numbers per frame, and five million numbers. ExperimentError as well if `first` is below 0
-    and below all frame numbers."""
+    The limits are 100 numbers per frame, and five million numbers; `first` must not precede all frames."""
     lowest = min(min(frames) for frames in numbered)
     if first < min(lowest, 0):
         raise ExperimentError(f"{path}: frames.first is {first}, but the first frame there is {lowest}")
@@ -81,9 +71,8 @@ def _place_by_clocks(
     record: RecordSection, numbered: dict[str, Numbered], path: Path, folder: Path
 ) -> tuple[dict[str, Numbered], dict[str, Times]]:
     """Return the frames of each camera renumbered from their times, and the times, s, of each camera.
-    `numbered` has the frames by their previous numbers. The times are those of the key ``times``, or else
-    those in recordings; cameras without times keep their numbers. ExperimentError if only some cameras have
-    the key ``times``, or if times do not fit the frames."""
+    The times are those of the key ``times``, or else those in recordings; without times numbers stay.
+    ExperimentError if only some cameras have the key ``times``, or if times do not fit the frames."""
     stamped = {
         name: _time_stamps(name, section, path, folder)
         for name, section in record.cameras.items()
@@ -110,8 +99,6 @@ def _place_by_clocks(
 
 
 def _time_stamps(name: str, section: CameraSection, path: Path, folder: Path) -> tuple[Path, Times]:
-    """Return the path of a camera's file of time stamps, and the times in the file, (n,), s.
-    `section` is the camera's entry in the experiment file `path`, `folder` is the folder of the images.
-    ExperimentError if the file cannot be read, or if its times are not increasing numbers."""
+    """Return the path of a camera's file of time stamps, and the times in the file, (n,), s."""
     source = path.parent / str(section.times).replace("{folder}", str(folder))
     return source, read_time_stamps(source, name)

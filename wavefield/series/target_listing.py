@@ -16,15 +16,10 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
     A pose is named by the part of the file name that varies; the pose on z = 0 is called ``flat``.
     CalibrationError if the experiment has no calibration block, or if a camera has no target image."""
     section = experiment.calibration
-    if section is None and experiment.rig is not None:
-        raise CalibrationError(
-            f"{experiment.path} names a rig and no target images, so there is nothing to calibrate; "
-            "`wavefield check` tries the rig, and `wavefield rig level` brings it to moving water, as at sea"
-        )
     if section is None:
         raise CalibrationError(
-            f"{experiment.path} has no calibration block; add one that states what the target is and where "
-            "its images are (see docs/calibration.md), or name a rig that another program made"
+            f"{experiment.path} has no calibration block, so there is nothing to calibrate; add one that "
+            "states what the target is and where its images are (see docs/calibration.md)"
         )
     tilted = [section.tilted] if isinstance(section.tilted, str) else section.tilted
     out: dict[str, dict[str, Path]] = {}
@@ -43,27 +38,9 @@ def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
             poses = {pose: path for pose, path in poses.items() if path not in flat}
             poses |= dict.fromkeys(["flat"], flat[0]) if flat else {}
         out[camera] = poses
-    out = _without_cameras(out)
     if section.flat and not any("flat" in poses for poses in out.values()):
         raise _no_images(experiment, "any camera", [section.flat])
     return out
-
-
-def _without_cameras(views: dict[str, dict[str, Path]]) -> dict[str, dict[str, Path]]:
-    """Return `views` (path by camera and pose), with the camera's name cut from the start of each pose.
-    Images such as left/left1.jpg repeat the camera's name. Poses stay as they are unless all begin with the
-    name and remain distinct without it."""
-    repeated = all(
-        pose == "flat" or (pose.startswith(camera) and pose != camera and not camera.isdigit())
-        for camera, poses in views.items()
-        for pose in poses
-    )
-    shorter = {
-        camera: {pose.removeprefix(camera).lstrip("_ "): path for pose, path in poses.items()}
-        for camera, poses in views.items()
-    }
-    kept = all(len(poses) == len(views[camera]) for camera, poses in shorter.items())
-    return shorter if repeated and kept else views
 
 
 def _no_images(experiment: Experiment, camera: str, patterns: Sequence[str]) -> CalibrationError:
@@ -75,8 +52,7 @@ def _no_images(experiment: Experiment, camera: str, patterns: Sequence[str]) -> 
 
 
 def _add_poses(poses: dict[str, Path], images: Iterable[tuple[str, Path]], experiment: Experiment) -> None:
-    """Add `images`, pairs (pose, path) of one camera, to its `poses`.
-    CalibrationError if two files have the same pose."""
+    """Add pairs (pose, path) to the `poses` of a camera; CalibrationError if two files have one pose."""
     for pose, path in images:
         other = poses.setdefault(pose, path)
         if other != path:
