@@ -1,6 +1,6 @@
 """Cameras' clocks: rates and times in recordings, time stamps, and frame numbers from them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
@@ -12,11 +12,10 @@ from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.formats import VIDEO_ENDINGS, open_recording, recording_path
 from wavefield.series.formats.recording import usual_interval, usual_intervals
 from wavefield.series.frames import FrameSeries
-from wavefield.series.listing import MAX_NUMBERS_PER_FRAME, Numbered
+from wavefield.series.listing import MAX_NUMBERS_PER_FRAME, Images, Numbered
 from wavefield.series.probes import numbered_lines
 
 Times = NDArray[np.float64]
-Images = str | Sequence[str | None]  # images of a camera, as the experiment file names them
 
 MAX_OFFSET = 0.25  # largest offset of a time stamp from an even time, intervals; at 0.5 it is ambiguous
 RATE_DISAGREEMENT = 0.01  # relative; velocities would be wrong by as much
@@ -126,9 +125,9 @@ def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
 
 def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
     """Return the delay of each frame relative to even times, (n,), in frame intervals; None without delays.
-    The delay is the mean over the cameras' clocks, after the offset and the rate of each clock are removed.
-    The cameras are triggered together, so differences between their clocks are noise of the time stamps; the
-    mean is scaled down by the estimated share of this noise."""
+    It is the mean over the cameras' clocks, after the offset and the rate of each clock are removed. Since
+    cameras are triggered together, differences between their clocks are noise of the time stamps; the mean is
+    scaled down by the estimated share of this noise."""
     each = [
         found
         for one in series.values()

@@ -21,7 +21,6 @@ from wavefield.series.readers import FrameEntry, Kind, count_images, read_entry
 Numbered = dict[int, FrameEntry]  # frames of a camera by frame number
 Images = str | Sequence[str | None]  # as in the experiment file
 
-SINGLE_IMAGE_ENDINGS = (".png", ".bmp", ".jpg", ".jpeg")
 MAX_FRAMES = 5_000_000  # frames of a record; more are a damaged header
 MAX_NUMBERS_PER_FRAME = 100  # range of frame numbers over the number of frames; more is a mistake
 FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
@@ -73,8 +72,7 @@ def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbe
         kind: Kind = "file"
         count = 1  # a gap, or a listed file that does not exist, keeps its place
         if path is not None and path.exists():
-            if path.suffix.lower() not in SINGLE_IMAGE_ENDINGS:  # others may have several images
-                kind, count = _count_images(path, camera)
+            kind, count = _count_images(path, camera)
             out |= {number + i: FrameEntry(kind, str(path), i) for i in range(count)}
         number += count
     if not out:

@@ -73,9 +73,8 @@ def covered_series(
     folder: Path,
 ) -> dict[str, FrameSeries]:
     """Return the frames of each camera with the camera's own masks and the masks on the water.
-    `masks` is the block ``mask`` of the experiment file, `folder` the folder of its mask images. The `rig`
-    projects masks on the water into the images. ExperimentError if a mask image is missing or of another
-    size, or if the masks cover a whole image."""
+    `masks` is the block ``mask`` of the experiment file, `folder` that of its images, and the `rig` projects
+    masks on the water. ExperimentError if a mask image is bad, or if the masks cover a whole image."""
     out = {}
     for name, frames in series.items():
         own, on_water = masks.get(name, ()), masks.get(WATER, ())

@@ -97,8 +97,7 @@ def read_probes(
 
 
 def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
-    """Return (number from 1, text) of each line of a UTF-8 file that is neither blank nor a comment (#).
-    ExperimentError if the file cannot be read; `what` is its name in messages."""
+    """Return (number from 1, text) of each line of a UTF-8 file that is neither blank nor a comment (#)."""
     try:
         refuse_pipe(path, ExperimentError)
         data = path.read_bytes()

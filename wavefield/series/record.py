@@ -13,7 +13,7 @@ from wavefield.series.clocks import (
     place_by_time,
     read_time_stamps,
 )
-from wavefield.series.experiment_parts import CameraSection, RecordSection
+from wavefield.series.experiment_parts import RecordSection
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import (
     MAX_FRAMES,
@@ -73,11 +73,11 @@ def _place_by_clocks(
     """Return the frames of each camera renumbered from their times, and the times, s, of each camera.
     The times are those of the key ``times``, or else those in recordings; without times numbers stay.
     ExperimentError if only some cameras have the key ``times``, or if times do not fit the frames."""
-    stamped = {
-        name: _time_stamps(name, section, path, folder)
-        for name, section in record.cameras.items()
-        if section.times is not None
-    }
+    stamped: dict[str, tuple[Path, Times]] = {}
+    for name, section in record.cameras.items():
+        if section.times is not None:
+            source = path.parent / section.times.replace("{folder}", str(folder))
+            stamped[name] = source, read_time_stamps(source, name)
     if not stamped:
         times = {
             name: own_times(section.images, name, folder, record.frame_rate)
@@ -96,9 +96,3 @@ def _place_by_clocks(
         for name, (source, times) in stamped.items()
     }
     return placed, {name: times for name, (_, times) in stamped.items()}
-
-
-def _time_stamps(name: str, section: CameraSection, path: Path, folder: Path) -> tuple[Path, Times]:
-    """Return the path of a camera's file of time stamps, and the times in the file, (n,), s."""
-    source = path.parent / str(section.times).replace("{folder}", str(folder))
-    return source, read_time_stamps(source, name)
