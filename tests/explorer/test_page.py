@@ -79,7 +79,7 @@ def test_a_node_shows_its_values_series_and_spectrum(tmp_path):
 def test_the_head_gives_the_verdict_with_its_remarks(tmp_path):
     path = tmp_path / "cube.zarr"
     make_cube(path)
-    Verdict.of([Remark("cam1", "focus", "remark", "its <images> are blurred")]).save(path)
+    Verdict([Remark("cam1", "focus", "remark", "its <images> are blurred")]).save(path)
     page, _ = build(path)
     assert "sound with remarks" in page.verdict.text
     assert "cam1: its &lt;images&gt; are blurred" in page.verdict.text
@@ -91,7 +91,7 @@ def test_a_damaged_step_is_a_sentence_and_the_others_are_shown(tmp_path):
     next((path / "w" / "c").glob("0/0/0")).write_bytes(b"nonsense")
     page, document = LookPage(LookSession(path), Place(step=1)), Document()
     page.attach(document)
-    assert "w of steps 0 to 7 cannot be read" in page.state.text
+    assert "cube.zarr/w is damaged" in page.state.text
     page.change(step=50)
     page.redraw()
     assert np.isfinite(page.map.sources["image"].data["image"][0]).any()

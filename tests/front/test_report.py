@@ -174,7 +174,7 @@ def test_the_verdict_with_description_and_date_stands_first(cube, tmp_path):
     experiment = Experiment.model_construct(description="Waves of a paddle, 12 cm of water", mask={})
     run = replace(run_of(cube), store=tmp_path)
     vars(run).update(experiment=experiment, frames={})
-    verdict = Verdict.of([Remark("cam1", "focus", "grave", "its images are blurred")])
+    verdict = Verdict([Remark("cam1", "focus", "grave", "its images are blurred")])
     found = render(head_of(run, verdict), []).split("<header>")[1]
     words = [
         found.index(w)

@@ -105,10 +105,10 @@ def test_sound_cameras_raise_no_alarm():
 def test_a_verdict_is_one_line_a_status_and_a_file_beside_the_cube(tmp_path):
     grave = Remark("cam1", "mirrored", "grave", "it agrees so", "as calibrated", "correct it", {"share": 0.8})
     light = Remark("record", "gaps", "remark", "3 frames are missing")
-    verdict = Verdict.of([light, grave])
+    verdict = Verdict([light, grave])
     assert verdict.line == "not to be trusted: cam1 mirrored, record gaps"
     assert verdict.exit_status == 3
-    assert Verdict.of([light]).line == "sound with remarks: record gaps"
+    assert Verdict([light]).line == "sound with remarks: record gaps"
     assert Verdict().line == "sound"
     assert Verdict().exit_status == 0
     verdict.save(tmp_path / "cube.zarr")

@@ -6,7 +6,6 @@ import xarray as xr
 
 import wavefield as wf
 from wavefield.errors import StoreError
-from wavefield.store.wave_store import write_waves
 from wavefield.variables import CUBE_FIELDS, Quality
 
 
@@ -53,16 +52,6 @@ def test_the_engine_refuses_what_is_no_cube(tmp_path):
     with pytest.raises(StoreError, match="a folder without a cube"):
         xr.open_dataset(tmp_path, engine="wavefield")
     with pytest.raises(StoreError, match=r"no such wave store; write one with `wavefield analyze CUBE`"):
-        wf.open_waves(tmp_path / "waves.zarr")
-
-
-def test_waves_of_an_earlier_layout_are_to_be_analysed_again(tmp_path):
-    groups = {
-        "/": xr.Dataset(attrs={"wavefield_version": "0.1"}),
-        "spectra": xr.Dataset({"E_z": ("omega", [1.0])}),
-    }
-    write_waves(xr.DataTree.from_dict(groups), tmp_path / "waves.zarr")
-    with pytest.raises(StoreError, match=r"waves.zarr .* earlier version, 0.1: write it again with `wavef"):
         wf.open_waves(tmp_path / "waves.zarr")
 
 

@@ -157,7 +157,7 @@ def assess_run(prepared: PreparedRun, status: Status, ratios: RiseRatios | None)
         *(_kinematics(cube, sample, ratios) if ratios else ()),
         *_short_waves(sample, prepared),
     ]
-    return Verdict.of(remarks, faults.pairs, faults.frames)
+    return Verdict(remarks, faults.pairs, faults.frames)
 
 
 def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tuple[float, float]:

@@ -355,9 +355,9 @@ def check(
             found = _synchrony(trial)
             delays = spell_delays(found.delays)
             remarks += [*remarks_on_clocks(found), *remarks_on_fields(trial.fields)]
-    verdict = Verdict.of(remarks) if remarks else None
+    verdict = Verdict(remarks) if remarks else None
     if faults:
-        verdict = Verdict.of(remarks, faults.pairs, faults.frames)
+        verdict = Verdict(remarks, faults.pairs, faults.frames)
     return Check(
         experiment=experiment.name,
         path=experiment.path,

@@ -32,9 +32,8 @@ register(
 
 
 def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> None:
-    """Write error statistics of camera pairs into the cube at `path`, in place of earlier statistics.
-    `statistics` is a Dataset as `read_pair_statistics` returns it. `state` identifies the measured steps of
-    the cube (`state_of`)."""
+    """Write the statistics that `read_pair_statistics` returns into a cube, in place of earlier ones.
+    `state` identifies the measured steps of the cube (`state_of`)."""
     attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
     with writing(path / GROUP):
         shutil.rmtree(path / GROUP, ignore_errors=True)
@@ -46,9 +45,9 @@ def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> Non
 
 def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
     """Load the error statistics of a cube's camera pairs; None if there are none or they were changed.
-    The variables ``rms``, ``beyond`` and ``density`` are (error) or (error, bin). The coordinates
-    ``quantity``, ``cameras`` and ``units`` describe each error. The attribute ``cube_state`` identifies the
-    steps that were measured at that time (`state_of`)."""
+    The variables ``rms``, ``beyond`` and ``density`` are (error) or (error, bin); ``quantity``, ``cameras``
+    and ``units`` describe each error. The attribute ``cube_state`` identifies the steps that were measured at
+    that time (`state_of`)."""
     path = Path(store) / GROUP
     mark = read_mark(path)
     if mark is None or mark.kind != KIND:

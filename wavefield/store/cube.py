@@ -39,13 +39,11 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
     Returns
     -------
     Dataset
-        The variables of `wavefield.variables`, and attributes with the recipe (all inputs of the cube). Steps
-        that are not yet measured are NaN, and so are steps at frames that the run found lost, doubled or late
-        (``frame_status`` 4). The values are those that ``xarray.open_zarr(path)`` gives. The names of the
-        cameras and the gain for waves (``gain_z``, ...) are coordinates. Every field has ``path_frames`` (how
-        velocities follow from frames) and the stated depth of the water as attributes, so that ``cube.w``
-        keeps them. The accessor ``cube.wavefield`` reads the recipe, the rig, the gain and the flags of
-        `quality`.
+        The variables of `wavefield.variables`. Steps that are not yet measured are NaN, and so are steps at
+        frames that the run found lost, doubled or late (``frame_status`` 4). The names of the cameras and the
+        gain for waves (``gain_z``, ...) are coordinates. Every field has ``path_frames`` (how velocities
+        follow from frames) and the stated depth of the water as attributes, so that ``cube.w`` keeps them.
+        The accessor ``cube.wavefield`` reads the recipe, the rig, the gain and the flags of `quality`.
 
     Raises
     ------
@@ -65,7 +63,6 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
     from wavefield.waves import accessor as waves_accessor  # noqa: F401  # registers `cube.waves`
 
     stored = open_stored(path, chunks)
-    stored = stored.reset_coords("path_frames")  # a coordinate in cubes of earlier versions
     stored = stored.set_coords([f"gain_{name}" for name in "zuvw" if f"gain_{name}" in stored])
     order = dict.fromkeys((*CUBE_FIELDS, *stored.data_vars))
     cube = stored[list(order)].assign_coords(stored.coords)
@@ -82,7 +79,7 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
 
 def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
-    """Open every variable that a cube stores, lazily; parameters and errors are those of `open_cube`."""
+    """Open every variable that a cube stores, lazily; the parameters are those of `open_cube`."""
     path = find_store(path)
     layout = read_layout(open_group(path))
     if chunks == "auto":
@@ -94,7 +91,9 @@ def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
     except Exception as error:  # libraries raise errors of many kinds on damaged bytes
         raise StoreError(f"{path} is damaged ({one_line(error)[:200]}); copy the cube again") from None
     lazy = {
-        name: named_variable(path / str(name), one)
+        name: xr.Variable(
+            one.dims, indexing.LazilyIndexedArray(_NamedArray(path / str(name), one)), one.attrs, one.encoding
+        )
         for name, one in found.variables.items()
         if name not in found.xindexes
     }
@@ -127,13 +126,6 @@ class _NamedArray(BackendArray):
             return np.asarray(self.variable[key].values)
 
 
-def named_variable(path: Path, variable: xr.Variable) -> xr.Variable:
-    """Return a lazy variable with the same values; a failure to read them raises StoreError.
-    `path` is the array in the store, which the error names."""
-    data = indexing.LazilyIndexedArray(_NamedArray(path, variable))
-    return xr.Variable(variable.dims, data, variable.attrs, variable.encoding)
-
-
 @xr.register_dataset_accessor("wavefield")
 class CubeAccessor:
     """Properties of a cube other than its fields, as ``cube.wavefield``.
@@ -145,35 +137,18 @@ class CubeAccessor:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> quality = np.full((1, 2, 2), int(Quality.MEASURED), np.uint16)
-    >>> quality[0, 0, 0] = int(Quality.FILLED | Quality.MASKED)
+    >>> quality = np.array([[[int(Quality.FILLED | Quality.MASKED), int(Quality.MEASURED)]]], np.uint16)
     >>> cube = xr.Dataset({"quality": (("time", "y", "x"), quality)})
     >>> cube.wavefield.flagged("masked").values.tolist()
-    [[[True, False], [False, False]]]
+    [[[True, False]]]
     """
 
     def __init__(self, cube: xr.Dataset) -> None:
         self._cube = cube
 
     def flagged(self, name: str) -> xr.DataArray:
-        """Return where `quality` has a flag.
-
-        Parameters
-        ----------
-        name : str
-            One of the ``flag_meanings`` of `quality`, such as "measured", "filled" or "masked".
-
-        Returns
-        -------
-        DataArray of bool, (time, y, x)
-            True at nodes that have the flag.
-
-        Raises
-        ------
-        ValueError
-            If there is no such flag.
-        """
+        """Return where `quality` has a flag, one of its ``flag_meanings``: a DataArray of bool, (time, y, x).
+        ValueError if there is no such flag."""
         flags = {flag.name.lower(): flag for flag in Quality if flag.name}
         if name not in flags:
             raise ValueError(f"quality has no flag {name!r}; it has {', '.join(flags)}")

@@ -18,8 +18,6 @@ from wavefield.variables import CUBE_DIMS, TABLE, Quality
 if TYPE_CHECKING:
     import xarray as xr
 
-NETCDF = (".nc", ".nc4", ".cdf", ".h5")
-ENDINGS = {**dict.fromkeys(NETCDF, "netcdf"), ".mat": "matlab", ".uvmat": "uvmat"}
 KNOWN = ".nc (NetCDF), .mat (MATLAB) or .uvmat (a folder for UVMAT)"
 _AT_ONCE = 16  # steps in memory at a time
 _MATLAB_BYTES = 2**31  # limit per variable: a MAT-file of version 7 stores sizes in 32 bits
@@ -34,15 +32,12 @@ _UVMAT_ROLES = {  # variable of the cube: name and role in UVMAT
 
 
 class _Hdf5File(io.FileIO):
-    """A file object for the HDF5 library, which would crash if a write failed.
-
-    Write errors are not raised; the first is kept in `failure`.
-    """
+    """A file object that keeps a write error in `failure`, because the HDF5 library would crash on it."""
 
     failure: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write `data`, and return its size in bytes; an OSError is kept in `failure` instead of raised."""
+        """Write `data`, and return its size in bytes."""
         left = memoryview(data).cast("B")
         size = len(left)
         while left and self.failure is None:
@@ -53,7 +48,7 @@ class _Hdf5File(io.FileIO):
         return size
 
     def truncate(self, size: int | None = None) -> int:
-        """Change the file's size, bytes, and return it; an OSError is kept in `failure` instead of raised."""
+        """Change the file's size, bytes, and return it."""
         try:
             return super().truncate(size)
         except OSError as error:
@@ -83,7 +78,7 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     path : path
         With the ending ``.nc``, one NetCDF-4 file that follows the CF conventions. With ``.mat``, a file of
         MATLAB 7, with variables below 2 GB. With ``.uvmat``, a folder with one NetCDF file per step. The
-        output appears when it is complete.
+        output appears when it is complete. Values are unpacked to float32.
     steps : slice, optional
         Indices of the steps to export; by default all.
 
@@ -98,11 +93,6 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     UserWarning
         If steps of the cube are not measured yet, or could not be measured.
 
-    Notes
-    -----
-    Values are unpacked to float32. A MAT-file is written one variable at a time, UVMAT's files a few steps at
-    a time.
-
     Examples
     --------
     >>> import wavefield as wf
@@ -113,11 +103,12 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
     ((10, 3, 4), 'm')
     """
     path = Path(path)
-    kind = ENDINGS.get(path.suffix.lower())
-    if kind is None:
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
         raise StoreError(f"{path} is not a supported output format: let its name end in {KNOWN}")
     cube = open_cube(store)
-    check_writable(path, _product(kind, cube), inputs=[cube.encoding["source"]])
+    product = _product(cube) if ending == ".nc" else None
+    check_writable(path, product, inputs=[cube.encoding["source"]])
     if note := unfinished_note(store):
         warnings.warn(note, stacklevel=2)
     count = cube.sizes["time"]
@@ -125,20 +116,18 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
         cube = cube.isel(time=steps)
     if not cube.sizes["time"]:
         raise StoreError(f"{store} has no steps in the given range: it has {count} steps")
-    _WRITERS[kind](cube, path)
+    ENDINGS[ending](cube, path)
 
 
-def _product(kind: str, cube: "xr.Dataset") -> Product | None:
-    """Return the kind and source with which a NetCDF export is marked, so that it may be replaced later.
-    None for the other formats, which have no mark and are never replaced."""
-    return Product("netcdf export", source_of(cube)) if kind == "netcdf" else None
+def _product(cube: "xr.Dataset") -> Product:
+    """Return the mark of a NetCDF export, which may be replaced later; the other formats have none."""
+    return Product("netcdf export", source_of(cube))
 
 
 def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
-    """Write a cube, or averages of a cube, as a NetCDF-4 file with CF attributes.
-    Attributes and encodings of `cube` are changed. StoreError if the file cannot be written, or if another
-    file that is not an export of the same cube is at `path`."""
-    product = _product("netcdf", cube)
+    """Write a cube, or averages of a cube, as a NetCDF-4 file with CF attributes; change those of `cube`.
+    StoreError if that fails, or if a file is there that is not an export of the same cube."""
+    product = _product(cube)
     cube.attrs = {
         name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()
     }
@@ -157,8 +146,7 @@ def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
 
 
 def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
-    """Write a cube as a MAT-file: fields (y, x, time), structs `units` and `long_name`, text attributes.
-    StoreError if a variable has 2 GB or more, or if the file cannot be written."""
+    """Write a cube as a MAT-file: fields (y, x, time), structs `units` and `long_name`, text attributes."""
     from scipy.io import savemat
 
     numbers = {name: one for name, one in cube.variables.items() if one.dtype.kind not in "UOTM"}
@@ -183,7 +171,7 @@ def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
 def _write_uvmat(cube: "xr.Dataset", path: Path) -> None:
     """Write a folder with one NetCDF 3 file per step for UVMAT, in metres, with y upwards.
     The names are those of UVMAT's `struct2nc`. ``FF``, UVMAT's flag of false vectors, is 0 where the node was
-    measured, else the bits of ``quality``."""
+    measured."""
     names = {name: theirs for name, (theirs, _) in _UVMAT_ROLES.items() if name in cube}
     out = cube[[*names, "quality"]].reset_coords(drop=True)
     measured = (out.quality & int(Quality.MEASURED)) != 0
@@ -205,8 +193,8 @@ def _write_uvmat(cube: "xr.Dataset", path: Path) -> None:
                 step.to_netcdf(file, engine="scipy", format="NETCDF3_64BIT")
 
 
-_WRITERS: dict[str, Callable[[Any, Path], None]] = {
-    "netcdf": write_netcdf,
-    "matlab": _write_matlab,
-    "uvmat": _write_uvmat,
+ENDINGS: dict[str, Callable[[Any, Path], None]] = {
+    ".nc": write_netcdf,
+    ".mat": _write_matlab,
+    ".uvmat": _write_uvmat,
 }

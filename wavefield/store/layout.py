@@ -5,6 +5,7 @@ ledger is the pair of arrays ``frame_status`` (status of each step) and ``frame_
 Every stored chunk ends with a checksum by a codec of Zarr, so that any Zarr reader notices damage.
 """
 
+import json
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 
 from wavefield.atomic_write import atomic
 from wavefield.errors import StoreError
-from wavefield.store.metadata import seal_metadata
+from wavefield.store.metadata import write_metadata
 from wavefield.store.recipe import Recipe
 from wavefield.text import one_line
 from wavefield.variables import CUBE_FIELDS, TABLE, Variable, find
@@ -82,17 +83,18 @@ def create_store(
     once: Mapping[str, np.ndarray | np.floating] | None = None,
 ) -> None:
     """Make an empty cube at `path`, complete or not at all; StoreError if something is already there.
-    `x` (nx,) and `y` (ny,) are the positions of the cube's nodes, m. `layout` has the numbers of steps,
-    chunks and cameras. `attributes` are added to those made from the recipe. `once` has variables that are
-    known before the run, such as ``gain_z``, by name."""
+    `x` (nx,) and `y` (ny,) are the positions of its nodes, m. `attributes` are added to those made from the
+    recipe. `once` has variables that are known before the run, such as ``gain_z``, by name."""
     with atomic(path) as draft, zarr.config.set(FILES_OF_ALL_CHUNKS):
         group = _lay_out(draft, recipe, x, y, layout, attributes)
         for name, values in (once or {}).items():
             row = find(name, "gain")
             assert row is not None
             add_array(group, row, values, dtype=values.dtype, name=name, fill_value=np.nan)
-        gather_metadata(draft)
-        seal_metadata(draft)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # consolidated metadata, to open the store faster
+            zarr.consolidate_metadata(draft)
+        write_metadata(draft, json.loads((draft / "zarr.json").read_bytes()))
 
 
 def _lay_out(
@@ -103,8 +105,7 @@ def _lay_out(
     layout: StoreLayout,
     attributes: Mapping[str, Any],
 ) -> zarr.Group:
-    """Make the group of a cube and its arrays, of which only the axes have values; return the group.
-    The arguments are as for `create_store`."""
+    """Make the group of a cube and its arrays, of which only the axes have values; return the group."""
     n, steps = layout.steps, layout.chunk_steps
     group = zarr.open_group(
         path,
@@ -163,9 +164,8 @@ def _lay_out(
 def add_array(
     group: zarr.Group, row: Variable, values: np.ndarray | np.generic | None = None, **options: Any
 ) -> None:
-    """Create the array of a variable in a group: filled with `values`, or empty.
-    `row` gives name, type, dimensions and attributes; `options` of `zarr.Group.create_array` replace them. An
-    array with values has a single chunk. An empty array needs ``shape`` in the options."""
+    """Create the array of a variable in a group: filled with `values` in a single chunk, or empty.
+    `row` gives name, type, dimensions and attributes; `options` of `zarr.Group.create_array` replace them."""
     how: dict[str, Any] = {
         "name": row.name,
         "dtype": row.dtype,
@@ -186,20 +186,12 @@ def in_16_bits(values: np.ndarray, scale: float) -> np.ndarray:
         return np.where(np.abs(scaled) <= 32767, scaled, MISSING).astype(np.int16)
 
 
-def gather_metadata(path: Path) -> None:
-    """Copy the metadata of all arrays into the ``zarr.json`` of the store at `path`, to open it faster."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        zarr.consolidate_metadata(path)
-
-
 _CHUNK_FILES = {"frame_fault": "c/0/{}", "frame_status": "c/{}"}  # fields have c/{}/0/0
 
 
 @contextmanager
 def named_damage(array: Path) -> Iterator[None]:
-    """Context manager: replace an error while reading damaged bytes by a StoreError.
-    The message names `array`, the path of the array in the store."""
+    """Context manager: replace an error while reading damaged bytes of `array`, a path, by a StoreError."""
     try:
         yield
     except StoreError:
@@ -212,6 +204,5 @@ def named_damage(array: Path) -> Iterator[None]:
 
 
 def chunk_path(path: Path, name: str, number: int) -> Path:
-    """Return the file of one chunk of the array `name` in the store at `path`.
-    `number` is the index of the chunk of steps, from 0."""
+    """Return the file of one chunk, by its number from 0, of the array `name` in the store at `path`."""
     return path / name / _CHUNK_FILES.get(name, "c/{}/0/0").format(number)

@@ -1,9 +1,7 @@
 """Read the ledger of a cube: steps done and failed, and bad frames with their faults.
 
 The ledger is the pair of arrays ``frame_status`` (status of each step) and ``frame_fault`` (fault of each
-frame and camera), which a run writes with each chunk. A step is the interval between two consecutive frames.
-The verdict is the list of remarks on the measurement (`wavefield.store.verdict`).
-"""
+frame and camera), which a run writes with each chunk. A step is the interval between two frames."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -46,20 +44,14 @@ class Status:
 
     Parameters
     ----------
-    store : path
-        The store.
-    experiment : str
-        Name of the experiment.
+    store, experiment : path and str
+        The store, and the name of its experiment.
     recipe_hash : str
-        Hash of the recipe of the cube (`Recipe.hash`): settings, rig, grid, names of images, ...
-    steps : int
-        Steps of the whole run.
-    done : int
-        Steps finished without bad frames; those next to lost or late frames count, but have no values.
-    faulty : int
-        Steps measured although frames around them were bad.
-    failed : int
-        Steps that could not be measured.
+        Hash of the recipe of the cube: settings, rig, grid, names of images, ...
+    steps, done, faulty, failed : int
+        Number of steps of the whole run; of those without bad frames (those next to lost or late frames
+        count, but have no values); of those measured although frames around them were bad; and of those that
+        could not be measured.
     failed_steps : tuple of int
         Number of the first frame of each failed step.
     bad_frames : tuple of BadFrames
@@ -188,8 +180,7 @@ def status(store: str | Path) -> Status:
 
 
 def unfinished_note(store: str | Path) -> str:
-    """Return a warning, as text, if steps of a cube are not measured yet or have failed.
-    The text is empty if all steps are measured. StoreError if `store` is not a cube."""
+    """Return a warning, as text, if steps of a cube are not measured yet or have failed; else ""."""
     found = status(store)
     if found.complete and not found.failed:
         return ""

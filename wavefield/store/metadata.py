@@ -32,31 +32,21 @@ def read_metadata(path: Path) -> dict[str, Any]:
         raise StoreError(f"{file} cannot be read ({one_line(error)[:200]}); copy the cube again") from None
     if not isinstance(attributes, dict) or "recipe" not in attributes:
         raise StoreError(f"{path} is not a cube of `wavefield run`; choose another name")
-    if CHECKSUM not in attributes:
-        raise StoreError(
-            f"{path} was written by an earlier version; measure the experiment into another cube"
-        )
-    if attributes[CHECKSUM] != _checksum(data):
+    if attributes.get(CHECKSUM) != _checksum(data):
         raise StoreError(f"{file} was changed since it was written, or is damaged; copy the cube again")
     return data
 
 
 def update_metadata(path: Path, attributes: Mapping[str, object]) -> None:
-    """Set attributes of the cube at `path`; an attribute with the value None is removed.
-    StoreError if the cube's metadata are damaged or cannot be written."""
+    """Set attributes of the cube at `path`; an attribute with the value None is removed."""
     data = read_metadata(path)
     merged = {**data["attributes"], **attributes}
     data["attributes"] = {name: value for name, value in merged.items() if value is not None}
     with writing(path):
-        _write_sealed(path, data)
+        write_metadata(path, data)
 
 
-def seal_metadata(path: Path) -> None:
-    """Add the checksum to the ``zarr.json`` of a new cube; later changes need `update_metadata`."""
-    _write_sealed(path, json.loads((path / "zarr.json").read_bytes()))
-
-
-def _write_sealed(path: Path, data: dict[str, Any]) -> None:
+def write_metadata(path: Path, data: dict[str, Any]) -> None:
     """Write `data` as ``zarr.json`` with its checksum, completely or not at all; `data` is changed."""
     data["attributes"][CHECKSUM] = _checksum(data)
     with atomic(path / "zarr.json", replace=True) as draft:

@@ -19,10 +19,8 @@ from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from wavefield.atomic_write import writing
-from wavefield.errors import StoreError
-from wavefield.store.layout import COMPRESSION, MISSING, PACKING, CubeGroup, in_16_bits
+from wavefield.store.layout import COMPRESSION, MISSING, PACKING, CubeGroup, in_16_bits, named_damage
 from wavefield.store.read import read_layout
-from wavefield.text import one_line
 from wavefield.variables import CUBE_FIELDS
 
 _GROUP = "preview"
@@ -37,30 +35,35 @@ class Thinning:
     every: int  # Distance between its nodes, in nodes of the cube, along x and y; 1 keeps all
     names: tuple[str, ...]  # Variables, in order
     scales: tuple[float, ...]  # Value = scale * stored, in the variable's unit
+    shape: tuple[int, ...]  # (variable, y, x, time)
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Attributes of the preview's group: the spacing of its nodes, and its variables."""
+        return {"every": self.every, "variables": list(self.names)}
 
 
 def thinning(group: CubeGroup) -> Thinning:
     """Return which nodes and variables the preview of an open cube contains.
-    The preview has some 2000 nodes at most, and fewer if the record has over 16 000 steps."""
+    It has some 2000 nodes at most, and fewer if the record has over 16 000 steps."""
     names = tuple(name for name in CUBE_FIELDS if name in group)
     steps, ny, nx = group[names[0]].shape
     most = min(_NODES, max(1, _VALUES // max(steps, 1)))
+    every = math.ceil(math.sqrt(ny * nx / most))
     scales = tuple(PACKING.get(name, 1.0) for name in names)
-    return Thinning(math.ceil(math.sqrt(ny * nx / most)), names, scales)
+    return Thinning(every, names, scales, (len(names), math.ceil(ny / every), math.ceil(nx / every), steps))
 
 
 def create_preview(group: CubeGroup) -> None:
-    """Make an empty preview (a thinned copy for plots) in an open cube, in place of an old preview.
-    StoreError if it cannot be written."""
+    """Make an empty preview (a thinned copy for plots) in an open cube, in place of an old preview."""
     layout, thin, path = read_layout(group), thinning(group), group.store_path.store.root / _GROUP
-    shape = _shape(group, thin)
     with writing(path):
         shutil.rmtree(path, ignore_errors=True)
-        preview = zarr.open_group(path, mode="w", zarr_format=3, attributes=_attributes(thin))
+        preview = zarr.open_group(path, mode="w", zarr_format=3, attributes=thin.attributes)
         preview.create_array(
             "fields",
-            shape=shape,
-            chunks=(*shape[:-1], layout.chunk_steps),
+            shape=thin.shape,
+            chunks=(*thin.shape[:-1], layout.chunk_steps),
             dtype="int16",
             fill_value=MISSING,
             compressors=(BloscCodec(**COMPRESSION, shuffle="shuffle"), Crc32cCodec()),
@@ -68,26 +71,13 @@ def create_preview(group: CubeGroup) -> None:
         )
 
 
-def _shape(group: CubeGroup, thin: Thinning) -> tuple[int, ...]:
-    """Return the shape (variable, y, x, time) of a cube's preview."""
-    steps, ny, nx = group[thin.names[0]].shape
-    return len(thin.names), math.ceil(ny / thin.every), math.ceil(nx / thin.every), steps
-
-
-def _attributes(thin: Thinning) -> dict[str, Any]:
-    """Return the attributes of a preview's group: the spacing of its nodes, and its variables."""
-    return {"every": thin.every, "variables": list(thin.names)}
-
-
 def _open(group: CubeGroup, thin: Thinning, mode: Literal["r", "r+"]) -> Any:
-    """Return the array ``fields`` of a cube's preview, (variable, y, x, time).
-    None if the preview is absent or damaged, or if its shape, variables or spacing are not those of
-    `thin`."""
+    """Return the array ``fields`` of a preview, (variable, y, x, time); None unless it fits `thin`."""
     with suppress(Exception):  # absent or damaged: the cube has it all
         root = group.store_path.store.root
         preview: Any = zarr.open_group(root / _GROUP, mode=mode, use_consolidated=False)
-        fits = _attributes(thin).items() <= dict(preview.attrs).items()
-        return preview["fields"] if fits and preview["fields"].shape == _shape(group, thin) else None
+        fits = thin.attributes.items() <= dict(preview.attrs).items()
+        return preview["fields"] if fits and preview["fields"].shape == thin.shape else None
     return None
 
 
@@ -99,15 +89,14 @@ def _chunk(group: CubeGroup, start: int) -> Path:
 
 def _thinned(fields: Mapping[str, NDArray[Any]], every: int, scales: Iterable[float]) -> NDArray[np.int16]:
     """Return fields (n, ny, nx) at every `every`-th node along x and y: int16, (variable, y, x, n).
-    The values are divided by `scales`, one for each field. Missing values are `MISSING`."""
+    The values are divided by `scales`, one for each field; missing values are `MISSING`."""
     nodes = [values[:, ::every, ::every].astype(np.float32) for values in fields.values()]
     out = [in_16_bits(values, scale) for values, scale in zip(nodes, scales)]
     return np.ascontiguousarray(np.moveaxis(np.array(out), 1, -1))
 
 
 def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
-    """Write the fields (n, ny, nx) of one chunk, by name, into the preview of an open cube.
-    The chunk begins with step `start`. If the cube has no preview, do nothing."""
+    """Write the fields (n, ny, nx) of the chunk from step `start` on into the preview of a cube, if any."""
     thin = thinning(group)
     preview = _open(group, thin, "r+")
     if preview is not None:
@@ -118,9 +107,8 @@ def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any
 
 
 def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
-    """Return the thinned fields of one chunk of steps: int16, (variable, y, x, n).
-    The chunk is steps `start` to `stop` - 1. A value is the stored integer times the scale in `thin`. The
-    fields are read from the preview, or from the cube itself if the preview has no such chunk."""
+    """Return the thinned fields of the chunk of steps `start` to `stop` - 1: int16, (variable, y, x, n).
+    They are read from the preview, or from the cube itself if the preview has no such chunk."""
     preview = _open(group, thin, "r")
     with suppress(Exception):  # as above
         if _chunk(group, start).is_file():
@@ -130,19 +118,11 @@ def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDA
 
 
 def read_steps(group: CubeGroup, name: str, start: int, stop: int) -> NDArray[Any]:
-    """Return the steps `start` to `stop` - 1 of a variable of an open cube, (n, ny, nx).
-    Values packed in 16 bits become float32, with NaN where nothing was measured; others are returned as
-    stored. StoreError if they are damaged."""
+    """Return the steps `start` to `stop` - 1 of a variable of an open cube, (n, ny, nx), unpacked to float32.
+    StoreError if they are damaged."""
     array = group[name]
-    try:
+    with named_damage(group.store_path.store.root / name):
         values = np.asarray(array[start:stop])
-    except StoreError:
-        raise
-    except Exception as error:
-        raise StoreError(
-            f"{name} of steps {start} to {stop - 1} cannot be read ({one_line(error)[:200]}); "
-            "`wavefield verify` finds the damaged steps, and `wavefield run` measures them again"
-        ) from None
     scale = array.attrs.get("scale_factor")
     if scale is None:
         return values

@@ -53,9 +53,8 @@ class CubeStore(LocalStore):
 
 def _is_expected(root: Path, name: str, place: str) -> bool:
     """Whether the file `place` of the array `name`, such as "3/0/0", must exist in the cube `root`.
-    After the end of the run all files must exist. Before it, files of arrays that are not divided into chunks
-    of steps must exist. A file of a chunk of steps must exist once the chunk was measured, except in
-    ``frame_status``."""
+    Files of a chunk of steps must exist once the chunk was measured, except in ``frame_status``; all others
+    must exist at any time, and all files after the end of the run."""
     attributes = read_metadata(root)["attributes"]
     if name not in CHUNKED or attributes.get(FINISHED):
         return True
@@ -74,8 +73,7 @@ def is_started(path: Path, number: int) -> bool:
 
 def find_store(path: str | Path) -> Path:
     """Return the path of a cube: `path` itself, or the only cube in it if it is a folder of cubes.
-    StoreError if the folder contains no cube or several. A path that ends in .zarr or does not exist is
-    returned unchanged."""
+    StoreError if the folder contains no cube or several."""
     path = Path(str(path).removeprefix("file://"))
     if not path.is_dir() or (path / "zarr.json").exists() or path.suffix == ".zarr":
         return path

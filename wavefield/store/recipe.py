@@ -65,7 +65,7 @@ class Recipe:
     @property
     def hash(self) -> str:
         """Sixteen hexadecimal digits that identify the entries on which values of the cube depend.
-        The experiment's name, the learned `record` and the versions of the software are left out."""
+        They exclude the experiment's name, the learned `record` and the versions of the software."""
         values = {name: value for name, value in asdict(self).items() if name not in _LABELS}
         text = json.dumps(values, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -79,9 +79,8 @@ def _software() -> dict[str, str]:
 
 
 def differences(old: str, new: str) -> list[str]:
-    """Return one line for each entry that differs between two recipes, given as JSON text.
-    A line reads "grid.step: 0.01 there, 0.02 here"; `old` is called "there", `new` is called "here". The
-    experiment's name, the entries of `record` and the versions of software are not compared."""
+    """Return one line, "grid.step: 0.01 there, 0.02 here", for each difference of two recipes (JSON text).
+    Entries that do not count for the hash are not compared."""
     a, b = dict(_leaves(json.loads(old))), dict(_leaves(json.loads(new)))
     keys = [key for key in {**a, **b} if key.partition(".")[0] not in _LABELS and a.get(key) != b.get(key)]
     return [f"{key}: {a.get(key)!r} there, {b.get(key)!r} here" for key in keys]
@@ -96,18 +95,9 @@ def _leaves(data: object, prefix: str = "") -> Iterator[tuple[str, object]]:
         yield prefix, data
 
 
-def _hash_of(recipe: str) -> str:
-    """Return the hash of a recipe given as JSON text; empty if its entries are not those of this version."""
-    try:
-        return Recipe(**json.loads(recipe)).hash
-    except (TypeError, ValueError):
-        return ""
-
-
 def source_of(cube: Any) -> str:
     """Return the identity of a cube (Dataset or open group): a hash of its recipe and images.
-    Outputs made from the cube carry it as `Product.source`. For a Dataset that no run wrote it is a hash of
-    its axes and its experiment's name."""
+    For a Dataset that no run wrote it is a hash of its axes and its experiment's name."""
     if "recipe_hash" in cube.attrs:
         return identity_of(cube.attrs["recipe_hash"], cube.attrs.get("fingerprints"))
     axes = {name: cube[name].values.tolist() for name in ("time", "y", "x") if name in cube.coords}
@@ -115,8 +105,7 @@ def source_of(cube: Any) -> str:
 
 
 def state_of(cube: Any) -> str:
-    """Return a hash of a cube (Dataset or open group) that changes as further steps are measured.
-    For a Dataset that no run wrote the result is that of `source_of`."""
+    """Return a hash of a cube (Dataset or open group) that changes as further steps are measured."""
     if "recipe_hash" not in cube.attrs or "frame_status" not in cube:
         return source_of(cube)
     ledger = np.asarray(cube["frame_status"][...], np.uint8).tobytes().hex()
@@ -124,12 +113,10 @@ def state_of(cube: Any) -> str:
 
 
 def check_recipe(path: Path, attributes: Mapping[str, Any], recipe: Recipe) -> None:
-    """Raise StoreError if the cube at `path` was made with another recipe than `recipe`.
-    `attributes` are those of the cube. The message lists the first two differences."""
-    there = str(attributes["recipe"])
-    if _hash_of(there) == recipe.hash:
+    """Raise StoreError, with two differences, if the cube at `path` was made with another recipe."""
+    if attributes["recipe_hash"] == recipe.hash:
         return
-    found = differences(there, recipe.to_json())
+    found = differences(str(attributes["recipe"]), recipe.to_json())
     more = f" and {len(found) - 2} more" if len(found) > 2 else ""
     raise StoreError(
         f"{path} was made with another recipe ({'; '.join(found[:2])}{more}); write to another store with -o"

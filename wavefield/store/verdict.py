@@ -7,7 +7,7 @@ considered) or *grave* (results are not usable).
 import json
 import re
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -21,7 +21,6 @@ from wavefield.text import full_stop, one_line
 Weight = Literal["note", "remark", "grave"]
 Numbers = Mapping[str, Mapping[str, list[float]]]
 WORDS = {"note": "sound", "remark": "sound with remarks", "grave": "not to be trusted"}
-_RANK = {"note": 0, "remark": 1, "grave": 2}
 
 
 @dataclass(frozen=True)
@@ -49,24 +48,17 @@ class Remark:
 
 @dataclass(frozen=True)
 class Verdict:
-    """All remarks on a measurement.
-    ``line`` sums them up, for example as "sound with remarks: cam1 focus"."""
+    """All remarks on a measurement."""
 
-    remarks: tuple[Remark, ...] = ()  # The gravest first
+    remarks: Sequence[Remark] = ()  # The gravest first
     # For each pair of cameras, its agreement and its eps_y (epipolar error) at each of `frames`
     pairs: Numbers = field(default_factory=dict)
-    frames: tuple[int, ...] = ()  # Indices of frames in the record, from 0
+    frames: Sequence[int] = ()  # Indices of frames in the record, from 0
 
-    @classmethod
-    def of(
-        cls,
-        remarks: Iterable[Remark],
-        pairs: Numbers | None = None,
-        frames: Iterable[int] = (),
-    ) -> "Verdict":
-        """Return a verdict with the remarks sorted by weight; the other arguments are its fields."""
-        ordered = tuple(sorted(remarks, key=lambda remark: -_RANK[remark.weight]))
-        return cls(ordered, dict(pairs or {}), tuple(int(k) for k in frames))
+    def __post_init__(self) -> None:
+        gravest_first = sorted(self.remarks, key=lambda remark: -list(WORDS).index(remark.weight))
+        object.__setattr__(self, "remarks", tuple(gravest_first))
+        object.__setattr__(self, "frames", tuple(int(index) for index in self.frames))
 
     @property
     def weight(self) -> Weight:
@@ -101,7 +93,7 @@ class Verdict:
 
     def save(self, store: Path) -> None:
         """Write the verdict next to the cube `store`, as ``verdict.json`` for ``cube.zarr``.
-        An earlier verdict is replaced. StoreError if another file has this name, or if writing fails."""
+        An earlier verdict is replaced; a StoreError is raised if another file has its name."""
         path = beside(store, "verdict", ".json")
         check_verdict(store)
         data = self.to_dict()
@@ -110,8 +102,7 @@ class Verdict:
 
 
 def read_verdict(store: str | Path) -> Verdict | None:
-    """Return the verdict in the file next to a cube; None if there is no such file.
-    StoreError if the file is damaged or was changed since wavefield wrote it."""
+    """Return the verdict in the file next to a cube; None without one, StoreError if it was changed."""
     path = beside(Path(store), "verdict", ".json")
     try:
         refuse_pipe(path, StoreError)
@@ -119,7 +110,7 @@ def read_verdict(store: str | Path) -> Verdict | None:
         if data.pop("checksum") != _checksum(data):
             raise ValueError("its checksum does not match")
         remarks = [Remark(**remark) for remark in data["remarks"]]
-        return Verdict.of(remarks, data["pairs"], data.get("frames", ()))
+        return Verdict(remarks, data["pairs"], data.get("frames", ()))
     except (FileNotFoundError, NotADirectoryError):
         return None
     except StoreError:
@@ -132,7 +123,7 @@ def read_verdict(store: str | Path) -> Verdict | None:
 
 
 def check_verdict(store: Path) -> None:
-    """Raise StoreError if the name of a cube's verdict, next to the cube, is taken by another file."""
+    """Raise StoreError if the name of a cube's verdict is taken by another file."""
     path = beside(store, "verdict", ".json")
     try:
         known = read_verdict(store) is not None

@@ -1,12 +1,9 @@
 """Write results into a cube chunk by chunk; clear or reset steps; change labels.
 
-A chunk is a range of steps, and has one file in every array. Different chunks never share a file, so any
-number of processes may write at once. Files are renamed into place when complete, so a killed process never
-leaves half a file. The status of the steps (``frame_status``, the ledger) is written last: the data of a step
-that is marked done are complete.
-"""
+A chunk is a range of steps, and has one file in every array, so any number of processes may write different
+chunks at once. Files are renamed into place when complete, so a killed process never leaves half a file. The
+status of the steps (``frame_status``, the ledger) is written last: a step that is marked done is complete."""
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -26,7 +23,7 @@ from wavefield.store.layout import (
     title,
 )
 from wavefield.store.metadata import FINISHED, update_metadata
-from wavefield.store.preview import write_preview
+from wavefield.store.preview import read_steps, write_preview
 from wavefield.store.read import open_group, read_layout
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
 
@@ -40,8 +37,8 @@ def write_chunk(
 ) -> None:
     """Write all results of one chunk into the cube at `path`; ``frame_status`` is written last.
     `start` is the first step of the chunk. `fields` has the variables `CUBE_FIELDS`, (n, ny, nx), in their
-    units. `frame_status` (n,) has the `FrameStatus` of each step. `faults` has the bad frames of each camera,
-    by index in the record. ValueError if sizes or names are wrong, StoreError if the disk fails."""
+    units, `frame_status` (n,) the `FrameStatus` of each step, and `faults` the bad frames of each camera, by
+    index in the record."""
     group = open_group(path, "r+")
     layout = read_layout(group)
     stop = min(start + layout.chunk_steps, layout.steps)
@@ -49,13 +46,6 @@ def write_chunk(
         raise ValueError(f"step {start} does not begin a chunk of {layout.chunk_steps}")
     if frame_status.shape != (stop - start,) or not frame_status.all():
         raise ValueError(f"the ledger of steps {start} to {stop} must hold {stop - start} results")
-    absent = [name for name in CUBE_FIELDS if name not in fields]
-    if absent:
-        raise ValueError(f"the measurement gave no {', '.join(absent)}")
-    expected = (stop - start, *group["z"].shape[1:])
-    for name in CUBE_FIELDS:
-        if np.shape(fields[name]) != expected:
-            raise ValueError(f"{name} has shape {np.shape(fields[name])}, expected {expected}")
     with writing(path), zarr.config.set(FILES_OF_ALL_CHUNKS):
         for name in ("frame_status", *CHUNKED):  # Zarr would first read these files, which may be damaged
             chunk_path(path, name, start // layout.chunk_steps).unlink(missing_ok=True)
@@ -76,10 +66,9 @@ def write_chunk(
 
 
 def clear_steps(path: Path, steps: Sequence[int]) -> None:
-    """Mark measured steps as discontinuous, and clear their values: NaN, and 0 in ``quality``.
-    `steps` are indices of steps. Steps that are not measured or have failed are left as they are. The status
-    of all these steps is written before any value, so that the next run can finish the work after an
-    interruption."""
+    """Mark measured steps, by index, as discontinuous, and clear their values: NaN, and 0 in ``quality``.
+    Others are left as they are. The status of all these steps is written before any value, so that the next
+    run can finish the work after an interruption."""
     group = open_group(path, "r+")
     layout = read_layout(group)
     with writing(path), zarr.config.set(FILES_OF_ALL_CHUNKS):
@@ -97,18 +86,14 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
                 stored = np.asarray(group[name][start : start + named.size])
                 stored[named] = {"f": np.nan, "i": MISSING, "u": 0}[stored.dtype.kind]
                 group[name][start : start + named.size] = stored
-                packed = stored.dtype == np.int16
-                fields[name] = (
-                    np.where(stored == MISSING, np.nan, stored * PACKING[name]) if packed else stored
-                )
+                fields[name] = read_steps(group, name, start, start + named.size)
             write_preview(group, start, fields)
             _to_disk(path, start // layout.chunk_steps, CHUNKED[:-1])
 
 
 def relabel(path: Path, name: str, description: Mapping[str, object]) -> list[str]:
     """Set the name and the descriptive attributes (`DESCRIPTION`) of a cube to those of an experiment.
-    `name` is the experiment's name; attributes that `description` lacks are removed. Returns one line for
-    each change, "KEY: old there, new here"."""
+    Others are removed. Returns a line per change, "KEY: old there, new here"."""
     labels = {"experiment": name, "title": title(name), **dict.fromkeys(DESCRIPTION), **description}
     there = open_group(path).attrs
     changed = [key for key, value in labels.items() if there.get(key) != value]
@@ -124,8 +109,7 @@ def _write_ledger(path: Path, group: CubeGroup, start: int, frame_status: np.nda
 
 
 def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
-    """Wait until the files of a chunk, in the arrays `names`, and their folders are on the disk.
-    `chunk` is the index of the chunk."""
+    """Wait until the files of a chunk (by index) in the arrays `names`, and their folders, are stored."""
     folders: dict[Path, None] = {}
     for name in names:
         file = chunk_path(path, name, chunk)
@@ -137,8 +121,7 @@ def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
 
 
 def reset_chunks(path: Path, starts: Sequence[int]) -> None:
-    """Mark chunks of a cube as not started, so that the next run measures them again.
-    `starts` are the first steps of the chunks. The cube is marked as unfinished."""
+    """Mark the chunks that begin with these steps as not started, and the cube as unfinished."""
     if not starts:
         return
     update_metadata(path, {FINISHED: None})
@@ -149,7 +132,6 @@ def reset_chunks(path: Path, starts: Sequence[int]) -> None:
 
 
 def remove_partial_files(path: Path) -> None:
-    """Remove the unfinished files that killed writers left in a store; Zarr names them *.HEX.partial."""
+    """Remove the unfinished files that killed writers left in a store; Zarr names them *.partial."""
     for file in path.rglob("*.partial"):
-        if re.search(r"\.[0-9a-f]{32}\.partial$", file.name):
-            file.unlink(missing_ok=True)
+        file.unlink(missing_ok=True)
