@@ -46,8 +46,7 @@ def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
 
 class _CompiledFiles:
     """The files with the compiled code of one loop, one file for each combination of argument types.
-    A file is named by a hash of sources, types and processor, so processes need no lock, unlike with numba's
-    own index of numbered files."""
+    They are named by a hash of sources, types and processor, so that processes need no lock and no index."""
 
     def __init__(self, folder: Path, base: str, loop: Callable[..., object]) -> None:
         self._folder, self._base = folder, base
@@ -71,7 +70,7 @@ class _CompiledFiles:
                     old.unlink()
 
     def load(self, key: object) -> Any:
-        """Return the compiled code for `key`, as in `save`; None if its file is absent or damaged."""
+        """Return the compiled code for `key`, numba's key of types and processor; None if it is damaged."""
         try:
             stored = self._path(key).read_bytes()
         except OSError:

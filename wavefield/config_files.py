@@ -87,7 +87,8 @@ def make(
 ) -> T:
     """Return plain data as a section (pydantic model or dataclass) of type `kind`, with checked values.
     Raises `error`, with up to four problems, if the data are wrong. The other arguments serve its message:
-    the file that the data come from, the keys that lead to the data in it, and their name without a file."""
+    `path` is the file that the data come from, `location` the keys that lead to them in it, `name` what they
+    are called without a file."""
     try:
         made = TypeAdapter(kind).validate_python(dict(data))
     except WavefieldError as found:  # a section's own sentence
@@ -271,7 +272,7 @@ def _sentence(
     name: str,
 ) -> tuple[str, str]:
     """Return where a problem is (file and line) and its description, from an error of pydantic.
-    `node` is the content of the file as YAML nodes. The other arguments are as for `make`."""
+    `node` is the content of the file as YAML nodes, `location` the keys that lead to the section in it."""
     inner = list(problem["loc"])
     line = _line(node, [*location, *inner])
     where = (f"{path}, line {line}" if line else str(path)) if path else name

@@ -69,7 +69,8 @@ def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
 
 
 def _decode(data: bytes, start: bytes) -> np.ndarray | None:
-    """Return the image of a PNG, JPEG or BMP file, (row, column[, RGB]); None for any other `start` of it."""
+    """Return the image in the bytes of a PNG, JPEG or BMP file: (row, column) or (row, column, RGB).
+    `start` is the first bytes of the file, which tell the format; None if they are of another format."""
     if start == PNG:
         return np.asarray(imagecodecs.png_decode(data))
     if start[:3] == JPEG:  # strict: warnings of libjpeg, such as truncated data, are errors
@@ -89,7 +90,8 @@ def _unknown(name: str, start: bytes) -> str:
 
 def grey(image: np.ndarray) -> np.ndarray:
     """Return the luminance, (row, column), of an image (row, column, channel), in the image's type.
-    The channels are red, green, blue and possibly alpha, which is ignored; of fewer the first is taken."""
+    The channels are red, green, blue and possibly alpha, which is ignored. An image of one or two channels
+    gives its first channel."""
     if image.ndim == 2:
         return image
     if image.shape[2] < 3:

@@ -27,8 +27,7 @@ PAGES_TRIED = 4  # pages that are tested for thumbnails: if none of these is one
 
 class TiffImages:
     """The images of a TIFF file, (row, column) or (row, column, RGB), without its thumbnails.
-    FrameError if it is not a valid TIFF file. ImageJ's stacks beyond 4 GB are read too; they describe only
-    their first image."""
+    ImageJ's stacks beyond 4 GB, which describe only their first image, are read too."""
 
     def __init__(self, source: str | BinaryIO, name: str) -> None:
         self.name = name
@@ -116,7 +115,7 @@ def _words(code: Any) -> str:
 
 
 def _refuse_missing_parts(page: Any, size: int) -> None:
-    """Raise ValueError if pixels of a page are beyond the end of the file, of `size` bytes, or empty.
+    """Raise ValueError if pixels of a page are empty or beyond the end of the file, of `size` bytes.
     Without this check tifffile would return zeros for them."""
     ends = [start + count for start, count in zip(page.dataoffsets, page.databytecounts)]
     if not ends or min(page.databytecounts) == 0 or max(ends) > size:

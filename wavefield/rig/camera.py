@@ -281,20 +281,7 @@ class Camera:
         return np.stack(self.unproject(X, Y, z), axis=-1)
 
     def sees(self, x: ArrayLike, y: ArrayLike, z: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Return whether the camera sees points, with a margin to the edge of the image.
-
-        Parameters
-        ----------
-        x, y, z : array_like, broadcastable
-            Positions, metres.
-        margin : float, default 0
-            Smallest distance from the outermost pixel centres, px.
-
-        Returns
-        -------
-        ndarray of bool
-            True where the camera sees the point.
-        """
+        """Return whether the camera sees points, metres, at least `margin` px from the edge of its image."""
         X, Y = self.project(x, y, z)
         w, h = self.size
         return (X >= margin) & (X <= w - 1 - margin) & (Y >= margin) & (Y <= h - 1 - margin)
@@ -364,7 +351,7 @@ class Camera:
         return cls(fx, fy, cx, cy, R, tvec, size, skew=skew, **_terms_of_opencv(D))
 
     def scaled(self, factor: float) -> "Camera":
-        """Return the camera of the same images resampled by `factor`, which is the new size over the old."""
+        """Return the camera of the same images after they were resampled to `factor` times their width."""
         w, h = self.size
         return replace(
             self,

@@ -85,8 +85,9 @@ def common_field(
 
 
 def view_on_water(camera: Camera) -> NDArray[np.float64]:
-    """Return points (n, 2) on z = 0, metres, that span the view of a camera; RigError if it sees none.
-    They are the four corners of the image, or samples of the near water if the camera sees the horizon."""
+    """Return points (n, 2) on z = 0, metres, that span the view of a camera.
+    They are the four corners of the image, or samples of the near water if the camera sees the horizon.
+    RigError if it sees no water."""
     corners = camera.corners()
     if np.isfinite(corners).all():
         return corners
@@ -117,7 +118,7 @@ def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
 
 
 def pixel_at(camera: Camera, x: float, y: float) -> float:
-    """Return the side of a square of the area of a camera's pixel on the still water at (x, y), metres."""
+    """Return the size of a camera's pixel on the still water at (x, y), metres: the root of its area."""
     return float(np.sqrt(np.prod(pixel_sides(camera, x, y))))
 
 

@@ -178,7 +178,7 @@ class Rig:
 
 
 def middle_camera(rig: Rig, names: Sequence[str]) -> str:
-    """Return the name of the camera with the smallest sum of distances to all others; the first of two."""
+    """Return which of the cameras `names` has the smallest sum of distances to the others."""
     centres = np.array([rig[n].centre for n in names])
     reach = np.linalg.norm(centres[:, None] - centres, axis=-1).sum(axis=1)
     return names[int(np.argmin(np.round(reach / max(reach.max(), 1e-30), 9)))]

@@ -226,7 +226,7 @@ class Experiment(RecordSection):
         return read_probes(self.resolve(self.probes.file), **options)
 
     def frame_times(self, series: FrameSeries) -> NDArray[np.float64]:
-        """Return the times of the frames of any camera, (n,), s; frame number 0 is at 0."""
+        """Return the times of a camera's frames, (n,), s; frame number 0 is at 0."""
         return (series.first + np.arange(len(series))) / self.frame_rate
 
     @property
@@ -298,7 +298,7 @@ class Experiment(RecordSection):
 
     @property
     def measuring_cameras(self) -> list[str]:
-        """Names of the cameras in ``surface`` and ``velocity``, in the file's order; else of all cameras."""
+        """Names of the cameras that measure: those in ``surface`` and ``velocity``, by default all."""
         if self.surface is None and self.velocity is None:
             return list(self.cameras)
         used = {name for pair in (self.surface.pairs if self.surface else ()) for name in pair}

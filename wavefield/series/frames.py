@@ -150,7 +150,6 @@ class FrameSeries:
     def window(self, start: int, stop: int) -> "FrameSeries":
         """Return the frames at indices start to stop - 1 as a series without times, to send to a worker."""
         start = max(start, 0)
-        # times are left out: chunks (steps that one task measures) get their delays separately
         entries = list(self.entries[start:stop])
         return replace(self, first=self.first + start, entries=entries, times=None)
 

@@ -115,7 +115,7 @@ def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
 
 
 def _names(path: Path, number: int, line: str) -> list[str]:
-    """Return the names in the header `line`, ``time,NAME,...``, which is line `number` of the file."""
+    """Return the names in the header of a probe file, ``time,NAME,...``; it is line `number`."""
     names = [name.strip().strip('"') for name in line.split(",")]
     odd = any(not name or set(name) & set("[](){}") for name in names)
     if len(names) < 2 or names[0] != "time" or odd or len(set(names)) < len(names):

@@ -79,7 +79,7 @@ def close_files() -> None:
 
 
 def _kept_open(path: str) -> _Images:
-    """Return the open file of a path; the last eight stay open. FrameError if it is missing or damaged."""
+    """Return the open file of a path, and keep it open for later calls; the last eight stay open."""
     try:
         key = path, os.stat(path).st_mtime_ns  # a file that was copied again is opened again
     except OSError:

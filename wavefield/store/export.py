@@ -125,8 +125,9 @@ def _product(cube: "xr.Dataset") -> Product:
 
 
 def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
-    """Write a cube, or averages of a cube, as a NetCDF-4 file with CF attributes; change those of `cube`.
-    StoreError if that fails, or if a file is there that is not an export of the same cube."""
+    """Write a cube, or averages of a cube, as a NetCDF-4 file with CF attributes.
+    Attributes and encodings of `cube` are changed. StoreError if a file is there that is not an export of the
+    same cube."""
     product = _product(cube)
     cube.attrs = {
         name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()
@@ -170,8 +171,7 @@ def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
 
 def _write_uvmat(cube: "xr.Dataset", path: Path) -> None:
     """Write a folder with one NetCDF 3 file per step for UVMAT, in metres, with y upwards.
-    The names are those of UVMAT's `struct2nc`. ``FF``, UVMAT's flag of false vectors, is 0 where the node was
-    measured."""
+    The names are those of UVMAT's `struct2nc`; its flag ``FF`` is 0 where the node was measured."""
     names = {name: theirs for name, (theirs, _) in _UVMAT_ROLES.items() if name in cube}
     out = cube[[*names, "quality"]].reset_coords(drop=True)
     measured = (out.quality & int(Quality.MEASURED)) != 0

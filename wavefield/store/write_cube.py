@@ -67,8 +67,8 @@ def write_chunk(
 
 def clear_steps(path: Path, steps: Sequence[int]) -> None:
     """Mark measured steps, by index, as discontinuous, and clear their values: NaN, and 0 in ``quality``.
-    Others are left as they are. The status of all these steps is written before any value, so that the next
-    run can finish the work after an interruption."""
+    Steps that are not measured or have failed stay as they are. The status of all steps is written before any
+    value, so that the next run can finish the work after an interruption."""
     group = open_group(path, "r+")
     layout = read_layout(group)
     with writing(path), zarr.config.set(FILES_OF_ALL_CHUNKS):
@@ -93,7 +93,7 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
 
 def relabel(path: Path, name: str, description: Mapping[str, object]) -> list[str]:
     """Set the name and the descriptive attributes (`DESCRIPTION`) of a cube to those of an experiment.
-    Others are removed. Returns a line per change, "KEY: old there, new here"."""
+    Attributes that `description` lacks are removed. Returns "KEY: old there, new here" for each change."""
     labels = {"experiment": name, "title": title(name), **dict.fromkeys(DESCRIPTION), **description}
     there = open_group(path).attrs
     changed = [key for key, value in labels.items() if there.get(key) != value]

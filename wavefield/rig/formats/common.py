@@ -124,7 +124,8 @@ def turned_about_axes(alpha: float, beta: float, gamma: float) -> Array:
 
 
 def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[float]:
-    """Return the numbers in the child element `tag` of an XML element; RigError unless there are `count`."""
+    """Return the numbers in the child element `tag` of an XML element.
+    RigError if the child is missing, is empty, or does not hold `count` numbers."""
     element = parent.find(tag)
     if element is None or element.text is None:
         raise RigError(f"<{tag}> is missing")
@@ -135,7 +136,7 @@ def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[f
 
 
 def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
-    """Raise a RigError if a camera has a lens term that is not one of `terms`, those of the program."""
+    """Raise a RigError if a camera has a lens term other than `terms`, which the program has."""
     extra = [
         term
         for term in ("k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
@@ -149,8 +150,9 @@ def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
 
 
 def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
-    """Return the two cameras of a rig, and the rotation (3, 3) and translation (3,), m, between their frames.
-    RigError if the rig has not two cameras, or holds only their lenses."""
+    """Return the two cameras of a rig, and the pose of the second in the frame of the first.
+    The pose is a rotation (3, 3) and a translation (3,), metres. RigError if the rig has not two cameras, or
+    holds only their lenses."""
     if len(rig) != 2:
         raise RigError(f"{program} has two cameras, and this rig {len(rig)}: write OpenCV's file")
     if rig.lenses_alone:

@@ -25,7 +25,7 @@ from wavefield.rig.rig import Rig
 
 
 def load_matlab(path: Path, options: ImportOptions) -> Rig:
-    """Read a .mat file of Bouguet's toolbox or of MATLAB's Camera Calibrator; RigError if it is another."""
+    """Read a .mat file of Bouguet's toolbox or of MATLAB's Camera Calibrator; returns the rig."""
     import scipy.io  # here, because the import takes half a second
 
     try:
@@ -77,7 +77,7 @@ def _world_units(data: object) -> str:
 
 
 def _bouguet(data: Mapping[str, Any], side: str) -> StoredCamera:
-    """Read a camera of Bouguet's toolbox; `side` is the ending of the variables: _left, _right or empty."""
+    """Read a camera of Bouguet's toolbox; its variables end in `side`: _left, _right or nothing."""
     fx, fy = np.ravel(data[f"fc{side}"]).tolist()
     cx, cy = np.ravel(data[f"cc{side}"]).tolist()
     skew = float(np.ravel(data.get(f"alpha_c{side}", 0.0))[0]) * fx

@@ -66,7 +66,7 @@ def _nodes(path: Path) -> Nodes:
 
 
 def _parts_of_cameras(nodes: Nodes) -> dict[str, Parts]:
-    """Sort the nodes of a file by the number, or left or right, in their names; the key is empty without."""
+    """Sort the nodes of a file by camera: a number, left or right in the node's name, or else ""."""
     out: dict[str, Parts] = {}
     for name, value in nodes:
         head = re.match(r"(?:cam(?:era)?)?(\d+)", name)
@@ -83,7 +83,8 @@ def _parts_of_cameras(nodes: Nodes) -> dict[str, Parts]:
 
 
 def _part(stem: str, value: Array) -> str:
-    """Return the key in `Parts` of a node, named without the camera's number; empty if it is no part."""
+    """Return the key of a node in `Parts`, or "" if it is no part of a camera.
+    `stem` is the name of the node without the camera's number."""
     if value.shape == (3, 3) and stem in MATRICES and value[2, 2] == 1.0:
         return "K"
     if stem in DISTORTIONS and value.size in (4, 5, 8, 12, 14):

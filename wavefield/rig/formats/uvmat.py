@@ -62,7 +62,7 @@ def _check_size(calibration: ET.Element, size: tuple[int, int]) -> None:
 
 
 def save_uvmat(camera: Camera, path: str | Path, unit: str = "cm") -> None:
-    """Write one camera as a file of UVMAT (ImaDoc), with lengths in `unit`; RigError for terms but k1."""
+    """Write one camera as a file of UVMAT (ImaDoc), with lengths in `unit`; of the distortion only k1."""
     refuse_terms(camera, "UVMAT", "k1")
     scale = 1.0 / LENGTHS[unit]
     root = ET.Element("ImaDoc")
