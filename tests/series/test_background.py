@@ -7,7 +7,7 @@ from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError
 from wavefield.images import read_image, write_image
 from wavefield.series import Experiment
-from wavefield.series.mean_images import checksums, mean_image
+from wavefield.series.backgrounds import checksums, mean_image
 from wavefield.store.recipe import Recipe
 
 SHAPE = 40, 60

@@ -258,7 +258,7 @@ def background(experiment: Path, frames: int) -> None:
     them in the experiment file with `background:`.
     """
     from wavefield.series import Experiment
-    from wavefield.series.mean_images import write_backgrounds
+    from wavefield.series.backgrounds import write_backgrounds
 
     found = Experiment.load(experiment)
     bare = found.model_copy(update={"background": None}).open_frames()

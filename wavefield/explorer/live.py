@@ -21,10 +21,10 @@ from wavefield.measurement.images import prepare, ready, usable
 from wavefield.measurement.pair import match_pair
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
+from wavefield.series.backgrounds import read_backgrounds, refuse_other_images
 from wavefield.series.frames import subtracted
 from wavefield.series.listing import number_frames
 from wavefield.series.masks import covered_series, footprints
-from wavefield.series.mean_images import read_backgrounds, refuse_other_images
 from wavefield.series.readers import FrameEntry, read_entry
 from wavefield.variables import AROUND
 

@@ -32,7 +32,7 @@ from wavefield.quality.remarks import MIN_COVERAGE
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
 from wavefield.sampling import evenly_spaced
-from wavefield.series import Experiment, FrameSeries, masks, mean_images
+from wavefield.series import Experiment, FrameSeries, backgrounds, masks
 from wavefield.series.clocks import frame_departures
 from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
@@ -347,7 +347,7 @@ def make_recipe(
         settings=geometry.settings.to_dict(),
         packing=packing,
         mask=masks.as_data(experiment.mask, experiment.path.parent),
-        background=mean_images.checksums(series),
+        background=backgrounds.checksums(series),
         algorithm=ALGORITHM,
     )
 

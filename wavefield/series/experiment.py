@@ -16,6 +16,7 @@ from wavefield.rig.field import common_field
 from wavefield.rig.formats import load_rig
 from wavefield.rig.water_level import with_water_level
 from wavefield.series import masks
+from wavefield.series.backgrounds import with_backgrounds
 from wavefield.series.clocks import one_rate, stated_by_recordings
 from wavefield.series.experiment_parts import (
     CalibrationSection,
@@ -29,7 +30,6 @@ from wavefield.series.experiment_parts import (
     WaterSection,
 )
 from wavefield.series.frames import FrameSeries
-from wavefield.series.mean_images import with_backgrounds
 from wavefield.series.probes import read_probes
 from wavefield.series.record import open_record
 from wavefield.text import html_table

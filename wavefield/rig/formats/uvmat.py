@@ -8,7 +8,7 @@ import numpy as np
 
 from wavefield.errors import RigError
 from wavefield.rig.camera import Camera
-from wavefield.rig.formats.common import LENGTHS, ImportOptions, numbers_of, refuse_terms, rotation_near
+from wavefield.rig.formats.common import ImportOptions, numbers_of, refuse_terms, rotation_near
 from wavefield.rig.rig import Rig
 
 # UVMAT counts Y upwards, so its camera frame is left-handed: invert its y axis
@@ -61,13 +61,12 @@ def _check_size(calibration: ET.Element, size: tuple[int, int]) -> None:
         )
 
 
-def save_uvmat(camera: Camera, path: str | Path, unit: str = "cm") -> None:
-    """Write one camera as a file of UVMAT (ImaDoc), with lengths in `unit`; of the distortion only k1."""
+def save_uvmat(camera: Camera, path: str | Path) -> None:
+    """Write one camera as a file of UVMAT (ImaDoc), in cm; RigError if it has distortion besides k1."""
     refuse_terms(camera, "UVMAT", "k1")
-    scale = 1.0 / LENGTHS[unit]
     root = ET.Element("ImaDoc")
     calibration = ET.SubElement(root, "GeometryCalib")
-    R, T = _FLIP @ camera.R, _FLIP @ camera.T * scale
+    R, T = _FLIP @ camera.R, _FLIP @ camera.T * 100.0
 
     def put(tag: str, *values: object, **attributes: str) -> None:
         ET.SubElement(calibration, tag, attributes).text = "\t".join(str(v) for v in values)
@@ -76,7 +75,7 @@ def save_uvmat(camera: Camera, path: str | Path, unit: str = "cm") -> None:
     put("fx_fy", camera.fx, camera.fy)
     put("Cx_Cy", camera.cx + 0.5, camera.size[1] - 0.5 - camera.cy)
     put("kc", camera.k1)
-    put("CoordUnit", unit)
+    put("CoordUnit", "cm")
     put("Tx_Ty_Tz", *(repr(float(v)) for v in T))
     for i, row in enumerate(R):
         put("R", *(repr(float(v)) for v in row), i=str(i + 1))
