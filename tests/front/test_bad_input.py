@@ -125,7 +125,7 @@ TABLE = [
     # -- the lab note
     ("no lab note", lose(EXP), ["run", EXP], 2, "does not exist"),
     ("an image for a lab note", nothing, ["run", "cam1/img_000.tif"], 1, "img_000.tif"),
-    ("not UTF-8", write(EXP, b"name: \xff\xfe\xfa"), ["run", EXP], 1, "not a text file"),
+    ("not UTF-8", write(EXP, b"name: \xff\xfe\xfa"), ["run", EXP], 1, "not UTF-8 text"),
     ("an alias bomb", write(EXP, BOMB), ["run", EXP], 1, "aliases"),
     ("a mistyped key", note("frame_rate", "frame_rat"), ["run", EXP], 1, "line 2: .*did you mean 'frame_rate'"),
     ("endless frame rate", note("20.0", ".inf"), ["run", EXP], 1, "finite"),
@@ -135,7 +135,7 @@ TABLE = [
     ("an unknown setting", note("rig:", "settings: {sharpness: 3}\nrig:"), ["run", EXP], 1, "sharpness is not a known"),
     # -- the grid
     ("a mask of a stranger", note("rig:", "mask: {cam9: m.png}\nrig:"), ["run", EXP], 1, "mask names 'cam9', but there are cam1, cam2, cam3, water"),
-    ("a mask that is not there", note("rig:", "mask: {cam1: m.png}\nrig:"), ["run", EXP], 1, "mask of cam1: there is no .*m.png; correct"),
+    ("a mask that is not there", note("rig:", "mask: {cam1: m.png}\nrig:"), ["run", EXP], 1, "mask of cam1: .*m.png: no such image"),
     ("a mask of another size", mask(np.zeros((9, 9), np.uint8)), ["run", EXP], 1, "mask of cam1: .*m.png is 9 x 9 px, but"),
     ("a grid in millimetres", note("[-0.6, 0.6], y: [-0.4, 0.4]", "[-1e6, 1e6], y: [-1e6, 1e6]"), ["run", EXP], 1, "nodes"),
     ("a grid that nobody sees", note("x: [-0.6, 0.6]", "x: [90.0, 90.6]"), ["run", EXP], 1, "have 0 % of the grid in common view"),

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from wavefield.config_files import ConfigSection
 from wavefield.errors import ExperimentError, FrameError
@@ -23,21 +23,13 @@ class MaskSection(ConfigSection):
 
     polygon: list[tuple[float, float]] | None = Field(
         default=None,
+        min_length=3,
         examples=["[[100, 80], [220, 80], [160, 200]]"],
         description="corners: column and row in a camera's image, px; x and y on the water, m",
     )
     image: str | None = Field(
         default=None, examples=['"masks/cam1.png"'], description="image whose pixels are masked unless black"
     )
-
-    @field_validator("polygon")
-    @classmethod
-    def _simple(cls, corners: list[tuple[float, float]] | None) -> list[tuple[float, float]] | None:
-        if corners is None:
-            return None
-        if len(corners) < 3:
-            raise ValueError(f"a polygon needs three corners or more, not {len(corners)}")
-        return corners
 
     @model_validator(mode="after")
     def _one(self) -> "MaskSection":

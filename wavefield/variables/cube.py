@@ -29,8 +29,7 @@ class Quality(IntFlag):
 
     @classmethod
     def without(cls, number: int) -> "Quality":
-        """Return the bits of a node that was measured without one camera.
-        `number` is the index of that camera, from 0, in the attribute ``cameras`` of the cube."""
+        """Return the bits of a node that was measured without one camera, by its index in ``cameras``."""
         return cls.FEWER_CAMERAS | cls(cls.WITHOUT_1.value << min(number, 5))
 
 
@@ -72,8 +71,7 @@ INSTANTANEOUS = 1  # value of `path_frames`: instantaneous velocities, as of a m
 
 
 def frames_of_path(code: int) -> int:
-    """Return the number of frames that a value of the variable ``path_frames`` stands for.
-    It is `code` itself, but 6 for the code `EXACT_SIX`, which stands for another set of weights."""
+    """Return how many frames a value of ``path_frames`` stands for: itself, but 6 for `EXACT_SIX`."""
     return 6 if code == EXACT_SIX else code
 
 

@@ -21,8 +21,7 @@ _KNOWN = {
 
 
 def _powers(unit: str) -> dict[str, int]:
-    """Return the power of each unit in a string such as "m s-1" or "cm/s", by unit.
-    Raises ValueError if the string has another form."""
+    """Return the power of each unit in text such as "m s-1" or "cm/s"; ValueError for another form."""
     out: dict[str, int] = {}
     for token in unit.replace("/", " /").split():
         sign = -1 if token.startswith("/") else 1
@@ -36,8 +35,7 @@ def _powers(unit: str) -> dict[str, int]:
 
 
 def product(*factors: tuple[str, int]) -> str:
-    """Return the unit of a product as text such as "m3 s-1 rad-2", with radians last.
-    Each factor is a pair (unit, power). The unit of a pure number is "1"."""
+    """Return the unit of a product of pairs (unit, power), such as "m3 s-1 rad-2"; "1" for a pure number."""
     powers: dict[str, int] = {}
     for unit, power in factors:
         for name, exponent in _powers(unit).items():
@@ -48,8 +46,7 @@ def product(*factors: tuple[str, int]) -> str:
 
 
 def factor(given: str, requested: str) -> float | None:
-    """Return the factor from a given to a requested unit; None if one cannot be converted to the other.
-    From cm/s to m s-1 it is 0.01."""
+    """Return the factor from a given to a requested unit (0.01 from cm/s to m s-1); None if none fits."""
     scale = 1.0
     left: dict[str, int] = {}
     for unit, sign in ((given, 1), (requested, -1)):
@@ -104,8 +101,7 @@ class Variable:
         return out | dict(self.extra)
 
     def of(self, what: str, units: str) -> dict[str, Any]:
-        """Return the attributes of the variable for one quantity, with the units of this quantity.
-        `what` is the name of the quantity; "of `what`" is added to `long_name`."""
+        """Return the attributes of the variable for one quantity, called `what`, in the quantity's units."""
         return self.attrs | {"long_name": f"{self.long_name} of {what}", "units": units}
 
 
@@ -120,9 +116,7 @@ def register(*rows: Variable) -> None:
 
 
 def find(name: str, group: str = "") -> Variable | None:
-    """Return the row of the table for a variable of a group of a store.
-    If the group has no such row, it is the row of this name without a group, or None if there is none
-    either."""
+    """Return the row of the table for a variable of a group, or else that of this name without a group."""
     return TABLE.get(f"{group}/{name}", TABLE.get(name))
 
 
@@ -132,8 +126,7 @@ def rows_of(group: str) -> Iterator[Variable]:
 
 
 def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
-    """Return a copy of a dataset in which each variable has the attributes of its row in the table.
-    `group` is the group of the wave store that the dataset belongs to."""
+    """Return a copy of a dataset in which each variable has the attributes of its row in the table."""
     out = dataset.copy()
     for name in [*out.coords, *out.data_vars]:
         row = find(str(name), group)
@@ -143,8 +136,7 @@ def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
 
 
 def _one(array: "xr.DataArray", row: Variable) -> Any:
-    """Return an array with the order of dimensions and the units that `row`, its row of the table, states.
-    Raises CubeError if its dimensions, type or units do not fit the row."""
+    """Return an array with the dimensions in order and the units of its row; CubeError if it does not fit."""
     if set(array.dims) != set(row.dims):
         raise CubeError(f"{row.name!r} has dimensions {array.dims}, expected {row.dims}")
     kind = np.dtype(row.dtype).kind
@@ -172,8 +164,8 @@ def _lazy(array: "xr.DataArray") -> Any:
 
 def validate(dataset: "xr.Dataset", *names: str) -> "xr.Dataset":
     """Return the named variables of a dataset with the dimensions, units and types of the table.
-    Public functions check their input with it. Units are converted (cm to m). Data on disk stay there until
-    they are read. Raises CubeError if a variable is absent or its dimensions, type or units do not fit."""
+    Units are converted (cm to m). Data on disk stay there until they are read. CubeError if a variable is
+    absent or its dimensions, type or units do not fit."""
     out = {}
     for name in names:
         row = TABLE[name]
