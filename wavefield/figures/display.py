@@ -64,10 +64,9 @@ class Display:
         return SIGNED if self.signed else POSITIVE
 
     def limits(self, values: NDArray[np.floating]) -> tuple[float, float]:
-        """Return the lower and upper end of the colour scale for values in the displayed unit, to two digits.
-        The upper end is the 99.5 % quantile of |values|. For a signed variable the lower end is the negative
-        of the upper end. For others it is zero, or the 0.5 % quantile if that exceeds half of the upper
-        end."""
+        """Return the ends of the colour scale, to two digits, for values in the displayed unit.
+        The upper end is the 99.5 % quantile of |values|. The lower end is its negative for a signed variable.
+        For others it is zero, or the 0.5 % quantile if that exceeds half of the upper end."""
         half = float(f"{limit(values):.2g}")
         if self.signed:
             return -half, half
@@ -77,8 +76,7 @@ class Display:
 
 
 def display(name: str) -> Display:
-    """Return how the variable `name` is displayed, such as z in cm and velocities in cm/s.
-    Standard uncertainties and misfits that are lengths are in mm."""
+    """Return how the variable `name` is displayed: z in cm, other lengths in mm, velocities in cm/s."""
     units = TABLE[name].units
     if units == "m" and name != "z":
         return Display(name, 1000.0, "mm")
@@ -100,9 +98,8 @@ KINDS: tuple[tuple[str, str, str], ...] = (
 
 
 def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the kind of each value of `quality`, as an index into the list `KINDS`, in the same shape.
-    Each kind is one quality bit. If several bits of a value are set, the kind that comes first in the list
-    counts. The index is `len(KINDS)` if no kind applies."""
+    """Return the index of the first kind in `KINDS` whose bit is set in each value of `quality`.
+    The result has the shape of `quality`, and is `len(KINDS)` where no kind applies."""
     out = np.full(np.shape(quality), len(KINDS), np.uint8)
     for index in range(len(KINDS) - 1, -1, -1):
         out[(np.asarray(quality) & np.uint16(Quality[KINDS[index][0]])) != 0] = index

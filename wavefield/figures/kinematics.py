@@ -27,7 +27,9 @@ _TERMS = {"nonlinear": "nonlinear term u·∇z", "residual": "residual z_t − w
 
 
 def kinematics_maps(snapshot: xr.Dataset) -> Figure:
-    """Draw maps of elevation, vertical velocity, nonlinear term and residual at one moment.
+    """Draw maps of elevation, vertical velocity, nonlinear term and residual, as Aubourg et al. (2019).
+
+    The residual and the nonlinear term share one colour scale.
 
     Parameters
     ----------
@@ -37,11 +39,6 @@ def kinematics_maps(snapshot: xr.Dataset) -> Figure:
     Returns
     -------
     Figure
-
-    Notes
-    -----
-    Corresponds to the maps of eta, u . grad eta and the error field in Aubourg et al. (2019). The residual
-    and the nonlinear term share one colour scale.
     """
     from wavefield.waves.motion import kinematics_at  # slow to import: compiled kernels
 
@@ -59,6 +56,9 @@ def kinematics_maps(snapshot: xr.Dataset) -> Figure:
 def coherence_curves(coherence: xr.Dataset) -> Figure:
     """Draw the coherence of z_t with w, with -u . grad z, and with the sum of both, over wavenumber.
 
+    Left: normalised as in Aubourg et al. (2019). Right: the magnitude-squared coherence, with the level that
+    unrelated signals exceed in 5 % of cases. Lines are thin and pale where the store marks them as not valid.
+
     Parameters
     ----------
     coherence : Dataset
@@ -67,12 +67,6 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
     Returns
     -------
     Figure
-
-    Notes
-    -----
-    Left: coherence with the common normalisation of Aubourg et al. (2019). Right: the standard
-    magnitude-squared coherence, with the level that unrelated signals exceed in 5 % of cases. Lines are thin
-    and pale at wavenumbers that the store marks as not valid.
     """
     figure, [[left, right]] = panels(2)
     k, valid = cycles(coherence), coherence["valid"].values if "valid" in coherence else None
@@ -96,18 +90,11 @@ def plane_coherence_maps(plane: xr.Dataset) -> Figure:
     Returns
     -------
     Figure
-
-    Notes
-    -----
-    The curves are means of the coherence over the angle of k. They are not a coherence computed from spectra
-    that were averaged over the angle.
     """
     figure, [[left, right]] = panels(2, height=4.4)
     kx, ky = (plane[name].values / (2 * np.pi) for name in ("kx", "ky"))
     label = "|C(k)| of z_t with w − u·∇z"
-    norm = Normalize(0, 1)
-    values = plane.plane_C.sel(term="tot").values
-    draw_cells(left, kx, ky, values, label, norm=norm, cmap=POSITIVE, extend="neither")
+    draw_cells(left, kx, ky, plane.plane_C.sel(term="tot").values, label, Normalize(0, 1), POSITIVE)
     left.set(xlabel="kx / 2π (m⁻¹)", ylabel="ky / 2π (m⁻¹)", aspect="equal")
     curves = {label: plane.mean_C.sel(term=term).values for term, label in _COHERENCES.items()}
     draw_curves(right, cycles(plane), curves)
@@ -118,6 +105,8 @@ def plane_coherence_maps(plane: xr.Dataset) -> Figure:
 def nonlinear_ratio_curves(ratio: xr.Dataset) -> Figure:
     """Draw the ratio of the nonlinear term to the vertical velocity over wavenumber and over frequency.
 
+    The band is the 95 % interval. The nonlinear term is (u - U) . grad z, with the mean current U.
+
     Parameters
     ----------
     ratio : Dataset
@@ -126,10 +115,6 @@ def nonlinear_ratio_curves(ratio: xr.Dataset) -> Figure:
     Returns
     -------
     Figure
-
-    Notes
-    -----
-    Shaded: the 95 % interval. The nonlinear term is (u - U) . grad z, with the mean current U.
     """
     figure, axes = panels(2)
     top = 0.0

@@ -24,10 +24,6 @@ def rig_views(rig: Rig, grid: Grid) -> Figure:
     Returns
     -------
     Figure
-
-    Notes
-    -----
-    Corresponds to the sketch of the set-up in Aubourg et al. (2019).
     """
     figure, axes = panels(2, height=4.0)
     side, above = axes[0]
@@ -81,10 +77,6 @@ def camera_frames(frames: Mapping[str, np.ndarray], rig: Rig, grid: Grid) -> Fig
     Returns
     -------
     Figure
-
-    Notes
-    -----
-    Corresponds to the snapshot of camera 3 with enlarged particles in Aubourg et al. (2019).
     """
     figure, axes = panels(len(frames), 2, width=4.0, height=3.7)
     x, y = grid.x_nodes, grid.y_nodes

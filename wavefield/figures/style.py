@@ -1,7 +1,6 @@
 """Sizes, colours, maps and axes that all figures share.
 
-Signed fields are drawn in red and blue, balanced about zero, positive ones in cividis; colour-blind readers
-can read both. Lines differ by dash as well as by colour.
+Colour-blind readers can read them: signed fields are red and blue, positive ones cividis, lines have dashes.
 """
 
 import io
@@ -12,10 +11,8 @@ import matplotlib
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from wavefield.figures.display import POSITIVE, SIGNED, limit
@@ -30,8 +27,6 @@ LINES: tuple[dict[str, Any], ...] = (
     {"color": "#7A5195", "linestyle": (0, (5, 1, 1, 1, 1, 1))},
 )
 HERTZ, CYCLES = "ω / 2π (Hz)", "k / 2π (m⁻¹)"
-ABOVE: dict[str, object] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 2}
-RIGHT: dict[str, object] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "ncols": 1}
 
 _RC: Any = {
     "font.size": 10.5,
@@ -52,19 +47,18 @@ class NotebookFigure(Figure):
         return file_of(self, dpi=100)
 
 
-def file_of(figure: Figure, kind: str = "png", **settings: Any) -> bytes:
-    """Return the content of a PNG or SVG file of a figure; settings are those of `Figure.savefig`."""
+def file_of(figure: Figure, **settings: Any) -> bytes:
+    """Return the content of a PNG file of a figure; settings are those of `Figure.savefig`."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=kind, **settings)
+    figure.savefig(buffer, format="png", **settings)
     return buffer.getvalue()
 
 
 def panels(
     columns: int, rows: int = 1, *, width: float = 5.2, height: float = 4.1, projection: str | None = None
 ) -> tuple[Figure, NDArray[np.object_]]:
-    """Return a figure with rows and columns of axes, and the axes (rows, columns); pyplot is not used.
-    `width` and `height` are the size of one panel in inches. `projection` is a projection of matplotlib, such
-    as "3d"."""
+    """Return a figure that does not use pyplot, and its axes (rows, columns).
+    `width` and `height` are the size of a panel in inches; `projection` is that of matplotlib."""
     with matplotlib.rc_context(_RC):
         figure = NotebookFigure(figsize=(width * columns, height * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": projection})
@@ -74,8 +68,7 @@ def panels(
 def map_panels(
     field: xr.DataArray, columns: int, rows: int = 1, *, width: float = 5.2
 ) -> tuple[Figure, NDArray[np.object_]]:
-    """Return a figure and its axes (rows, columns) with the proportions for maps of a field (y, x).
-    `width` is the width of one panel in inches."""
+    """Return a figure and its axes (rows, columns), `width` inches wide and as high as maps of a field."""
     wide, high = (float(np.ptp(field[d].values)) or 1.0 for d in ("x", "y"))
     height = float(np.clip(0.74 * width * high / wide + 0.85, 1.6, 1.5 * width))
     return panels(columns, rows, width=width, height=height)
@@ -89,27 +82,15 @@ def edges(centres: np.ndarray) -> np.ndarray:
 
 
 def draw_cells(
-    axes: Axes,
-    x: np.ndarray,
-    y: np.ndarray,
-    values: np.ndarray,
-    label: str,
-    *,
-    norm: Normalize,
-    cmap: str,
-    extend: str = "both",
+    axes: Axes, x: np.ndarray, y: np.ndarray, values: np.ndarray, label: str, norm: Normalize, cmap: str
 ) -> None:
-    """Draw values (ny, nx) as cells around their centres x (nx,), y (ny,), with a colour bar.
-    `label` and `extend` are those of the colour bar, as in matplotlib."""
+    """Draw values (ny, nx) as cells around their centres x (nx,), y (ny,), with a labelled colour bar."""
     drawn = axes.pcolormesh(
         edges(x), edges(y), np.ma.masked_invalid(values), norm=norm, cmap=cmap, rasterized=True
     )
-    colour_bar(axes, drawn, label, extend)
-
-
-def colour_bar(axes: Axes, drawn: ScalarMappable, label: str, extend: str = "both") -> None:
-    """Put a colour bar of the drawing `drawn` on the right of a panel, as high as the panel."""
-    bar = axes.inset_axes((1.025, 0.0, 0.035, 1.0))
+    below, above = np.any(values < norm.vmin), np.any(values > norm.vmax)
+    extend = ("neither", "max", "min", "both")[2 * below + above]
+    bar = axes.inset_axes((1.025, 0.0, 0.035, 1.0))  # as high as the panel
     axes.figure.colorbar(drawn, cax=bar, label=label, extend=extend)
 
 
@@ -117,39 +98,26 @@ def draw_map(
     axes: Axes,
     field: xr.DataArray,
     label: str,
-    *,
     factor: float = 1.0,
+    *,
     cmap: str = SIGNED,
     scale: tuple[float, float] | None = None,
     title: str = "",
-    norm: Normalize | None = None,
 ) -> None:
-    """Draw a map of a field (y, x) times a factor, with a colour bar.
-    `scale` holds the values at the lower and upper end of the colours; by default they are balanced about
-    zero. If `norm`, a matplotlib norm, is given, it sets the colours in place of `scale`."""
+    """Draw a map of a field (y, x) times a factor, with a labelled colour bar.
+    `scale` holds the values at the lower and upper end of the colours; they default to -+ a percentile."""
     values = factor * np.asarray(field.transpose("y", "x").values, float)
     if scale is None:
         half = limit(values)
         scale = (-half, half)
     axes.set_facecolor("0.85")
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title=title)
-    extend = "neither" if scale == (0, 100) else "max" if scale[0] == 0 else "both"
-    norm = norm or Normalize(*scale)
-    draw_cells(axes, field.x.values, field.y.values, values, label, norm=norm, cmap=cmap, extend=extend)
+    draw_cells(axes, field.x.values, field.y.values, values, label, Normalize(*scale), cmap)
 
 
-def draw_positive_map(
-    axes: Axes, field: xr.DataArray, label: str, factor: float = 1.0, percent: float = 99
-) -> None:
-    """Draw a map of a positive field (y, x) times a factor, with a colour bar.
-    The colours go from 0 to the percentile `percent` of the field."""
-    top = factor * limit(field, percent)
-    draw_map(axes, field, label, factor=factor, cmap=POSITIVE, scale=(0, top))
-
-
-def rms_in_time(field: xr.DataArray) -> xr.DataArray:
-    """Return the root mean square over time, (y, x), of a field (time, y, x)."""
-    return ((field.astype(float) ** 2).mean("time") ** 0.5).compute()
+def draw_positive_map(axes: Axes, field: xr.DataArray, label: str, factor: float) -> None:
+    """Draw a map of a positive field (y, x) times a factor, in colours from 0 to a percentile."""
+    draw_map(axes, field, label, factor, cmap=POSITIVE, scale=(0, factor * limit(field, 99)))
 
 
 def moment_title(snapshot: xr.Dataset) -> str:
@@ -182,8 +150,8 @@ def draw_curves(
     log: str = "",
     valid: np.ndarray | None = None,
 ) -> None:
-    """Draw labelled curves (n,) over x (n,), each in the next style of `styles`.
-    `log` names the logarithmic axes, such as "xy". Curves are thin and pale where `valid` (n,) is False."""
+    """Draw labelled curves (n,) over x (n,), thin and pale where `valid` (n,) is False.
+    `log` names the logarithmic axes, such as "xy"."""
     for style, (label, values) in zip(styles, curves.items(), strict=False):
         drawn = positive(values) if "y" in log else np.asarray(values)
         if valid is not None:
@@ -193,43 +161,18 @@ def draw_curves(
     axes.set(**{f"{name}scale": "log" for name in log})
 
 
-def plain_axes(axes: Axes, **legend: object) -> None:
-    """Add a light grid to a line plot, and a legend outside the axes if its lines have labels.
-    `legend` holds arguments of matplotlib's `Axes.legend`."""
+def finish(axes: Axes, xlabel: str, ylabel: str, *, columns: int | None = None, **properties: object) -> None:
+    """Label the axes of a line plot, and add a grid and a legend of some columns above it."""
+    axes.set(xlabel=xlabel, ylabel=ylabel, **properties)
     axes.grid(True, which="major", color="0.88", linewidth=0.7)
     axes.set_axisbelow(True)
     if labels := axes.get_legend_handles_labels()[1]:
-        place = RIGHT if axes.get_title() else ABOVE | {"ncols": 2 if len(labels) < 5 else 3}
-        options: dict[str, Any] = {"frameon": False, "fontsize": 9} | place | legend
-        axes.legend(**options)
-
-
-def finish(
-    axes: Axes, xlabel: str, ylabel: str, legend: Mapping[str, object] | None = None, **properties: object
-) -> None:
-    """Set the axis labels of a line plot, and add a grid and a legend.
-    `legend` holds arguments of matplotlib's `Axes.legend`, `properties` further arguments of `Axes.set`."""
-    axes.set(xlabel=xlabel, ylabel=ylabel, **properties)
-    plain_axes(axes, **(legend or {}))
-
-
-def frequency_axis(axes: Axes) -> None:
-    """Label a logarithmic x axis of one or two decades with 1, 2 and 5 times powers of ten."""
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter(NullFormatter())
+        columns = columns or (2 if len(labels) < 5 else 3)
+        place: Any = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": columns}
+        axes.legend(**place, frameon=False, fontsize=9)
 
 
 def round_down(value: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten that is not above a positive value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))
-
-
-def densities(values: ArrayLike, bins: np.ndarray) -> np.ndarray:
-    """Return the probability density (n,) of the finite `values` in bins with the edges `bins` (n + 1,).
-    Values outside the bins count in the norm."""
-    finite = np.asarray(values, float).ravel()
-    finite = finite[np.isfinite(finite)]
-    counts, _ = np.histogram(finite, bins)
-    return np.asarray(counts / (max(finite.size, 1) * np.diff(bins)))

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -17,7 +16,7 @@ MAX_POLYGONS = 70  # along each axis of the 3D view; more take seconds without a
 
 
 def surface_3d(snapshot: xr.Dataset) -> Figure:
-    """Draw the elevation in three dimensions, coloured by the vertical velocity.
+    """Draw the elevation in three dimensions, with exaggerated heights and the vertical velocity in colour.
 
     Parameters
     ----------
@@ -27,10 +26,6 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
     Returns
     -------
     Figure
-
-    Notes
-    -----
-    Corresponds to the 3D snapshot in Aubourg et al. (2019). Heights are exaggerated: see the axes.
     """
     stride = {d: slice(None, None, -(-snapshot.sizes[d] // MAX_POLYGONS)) for d in ("y", "x")}
     part = snapshot[["z", "w"]].isel(stride).transpose("y", "x")
@@ -67,20 +62,6 @@ def _relief(z: np.ndarray) -> np.ndarray:
     return np.asarray(0.86 + 0.14 * np.clip(slope / limit(slope, 95), -1, 1))
 
 
-def _draw_vectors(axes: Axes, snapshot: xr.Dataset) -> None:
-    """Draw the horizontal velocity of a step as arrows at some nodes, with a key."""
-    stride = max(1, round(max(snapshot.sizes["x"], snapshot.sizes["y"]) / MARKS_ACROSS))
-    thin = slice(stride // 2, None, stride)
-    part = snapshot[["u", "v"]].isel(x=thin, y=thin).transpose("y", "x")
-    u, v = 100 * part.u.values.astype(float), 100 * part.v.values.astype(float)
-    fastest = limit(np.hypot(u, v), 98)
-    spacing = stride * float(np.mean(np.diff(snapshot.x.values)))
-    scale: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": fastest / (1.4 * spacing)}
-    arrows = axes.quiver(part.x.values, part.y.values, u, v, width=0.0028, color="black", **scale)
-    key = round_down(fastest)
-    axes.quiverkey(arrows, 0.86, 1.04, key, f"{key:g} cm s⁻¹", labelpos="E", coordinates="axes")
-
-
 def velocity_map(snapshot: xr.Dataset) -> Figure:
     """Draw a map of the vertical velocity, with arrows of the horizontal velocity.
 
@@ -92,13 +73,18 @@ def velocity_map(snapshot: xr.Dataset) -> Figure:
     Returns
     -------
     Figure
-
-    Notes
-    -----
-    Corresponds to the velocity snapshot in Aubourg et al. (2019).
     """
     figure, [[ax]] = map_panels(snapshot.w, 1, width=7.4)
     draw_map(ax, snapshot.w, "w (cm s⁻¹)", factor=100)
     ax.set_title(moment_title(snapshot), loc="left")
-    _draw_vectors(ax, snapshot)
+    stride = max(1, round(max(snapshot.sizes["x"], snapshot.sizes["y"]) / MARKS_ACROSS))
+    thin = slice(stride // 2, None, stride)
+    part = snapshot[["u", "v"]].isel(x=thin, y=thin).transpose("y", "x")
+    u, v = 100 * part.u.values.astype(float), 100 * part.v.values.astype(float)
+    fastest = limit(np.hypot(u, v), 98)
+    spacing = stride * float(np.mean(np.diff(snapshot.x.values)))
+    scale: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": fastest / (1.4 * spacing)}
+    arrows = ax.quiver(part.x.values, part.y.values, u, v, width=0.0028, color="black", **scale)
+    key = round_down(fastest)
+    ax.quiverkey(arrows, 0.86, 1.04, key, f"{key:g} cm s⁻¹", labelpos="E", coordinates="axes")
     return figure

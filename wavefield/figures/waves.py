@@ -2,10 +2,9 @@
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from wavefield.figures.display import POSITIVE
 from wavefield.figures.style import (
@@ -17,7 +16,6 @@ from wavefield.figures.style import (
     draw_curves,
     edges,
     finish,
-    frequency_axis,
     hertz,
     panels,
     positive,
@@ -55,10 +53,6 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
     Returns
     -------
     Figure
-
-    Notes
-    -----
-    Corresponds to the space-time spectrum of w in Aubourg et al. (2019).
     """
     energy = spectra["E"].sel(quantity=name).transpose("omega", "k")
     frequency, k = hertz(energy), cycles(energy)
@@ -67,7 +61,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
     figure, [[ax]] = panels(1, width=10.4, height=4.8)
     ax.set_facecolor(_LOWEST_COLOUR)
     label = f"E$^{name}$(k, ω) ({_units(name)})"
-    draw_cells(ax, k, frequency, values, label, norm=LogNorm(top * 1e-7, top), cmap="viridis")
+    draw_cells(ax, k, frequency, values, label, LogNorm(top * 1e-7, top), "viridis")
     shown = np.flatnonzero((values > top * 1e-7).any(axis=0))
     right = edges(k)[1 + (shown[-1] if shown.size else -2)]
     if dispersion is not None and "omega_theory" in dispersion:
@@ -87,6 +81,8 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
 def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: str = "w") -> Figure:
     """Draw the spectrum E(kx, ky) at up to three frequencies, with the circle of the dispersion relation.
 
+    A wave propagates in the direction of (kx, ky).
+
     Parameters
     ----------
     spectra : Dataset
@@ -99,11 +95,6 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
     Returns
     -------
     Figure
-
-    Notes
-    -----
-    Corresponds to the map at 2.8 Hz in Aubourg et al. (2019). (kx, ky) points in the direction in which a
-    wave propagates.
     """
     energy = spectra["E_kxky"].sel(quantity_map=name).transpose("omega_map", "ky", "kx")
     omegas = energy.omega_map.values
@@ -114,11 +105,13 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
     for ax, i in zip(axes[0], chosen, strict=True):
         top = float(np.nanmax(energy.values[i])) or 1.0
         ax.set_facecolor(_LOWEST_COLOUR)
-        norm = LogNorm(top * 1e-5, top)
-        draw_cells(ax, kx, ky, positive(energy.values[i]), label, norm=norm, cmap="viridis")
+        draw_cells(ax, kx, ky, positive(energy.values[i]), label, LogNorm(top * 1e-5, top), "viridis")
         half = np.abs(kx).max()
-        radius = _radius(dispersion, omegas[i])
-        if radius:
+        radius = np.nan
+        if dispersion is not None and "omega_theory" in dispersion:
+            theory = dispersion.omega_theory.values
+            radius = np.interp(omegas[i], theory, cycles(dispersion), left=np.nan, right=np.nan)
+        if np.isfinite(radius):
             turn = np.linspace(0, 2 * np.pi, 181)
             ax.plot(radius * np.cos(turn), radius * np.sin(turn), color="white", linewidth=0.9, dashes=(4, 3))
             half = min(3.5 * radius, half)
@@ -127,18 +120,11 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
     return figure
 
 
-def _radius(dispersion: xr.Dataset | None, omega: float) -> float | None:
-    """Return the wavenumber of linear waves at `omega`, rad/s, in cycles per metre; None if unknown."""
-    if dispersion is None or "omega_theory" not in dispersion:
-        return None
-    theory = dispersion.omega_theory.values
-    if not theory.min() <= omega <= theory.max():
-        return None
-    return float(np.interp(omega, theory, dispersion.k.values) / (2 * np.pi))
-
-
 def elevation_spectra(spectra: xr.Dataset) -> Figure:
     """Draw the frequency spectrum of the elevation by each method.
+
+    Lines are thin and pale at frequencies that the store marks as not valid. The band is the 95 % interval of
+    the stereo spectrum.
 
     Parameters
     ----------
@@ -148,12 +134,6 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
     Returns
     -------
     Figure
-
-    Notes
-    -----
-    The methods are probes, stereo, integrated w, the cross spectrum of stereo and integrated w, and fusion.
-    Lines are thin and pale at frequencies that the store marks as not valid. The band is the 95 % interval of
-    the stereo spectrum. Corresponds to the temporal spectrum in Aubourg et al. (2019).
     """
     figure, [[ax]] = panels(1, width=7.6, height=4.8)
     frequency = hertz(spectra)
@@ -176,7 +156,9 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
         ax.set_ylim(peak * 1e-9, peak * 5)
     if (frequency > 0).any():
         ax.set_xlim(frequency[frequency > 0][0], frequency[-1])
-    frequency_axis(ax)
+    ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter(NullFormatter())
     finish(ax, HERTZ, "E$^z$(ω) (m² s rad⁻¹)")
     return figure
 
@@ -284,22 +266,12 @@ def probe_series(compared: xr.Dataset) -> Figure:
             f"{one.probe.item()}: rms difference {1e3 * float(one.rms_difference):.2g} mm, "
             f"correlation {min(float(one.correlation), 0.9999):.4f}"
         )
-        finish(ax, "time (s)" if k == count - 1 else "", "elevation (cm)", None)
+        finish(ax, "time (s)" if k == count - 1 else "", "elevation (cm)")
         ax.set_title(title, loc="left", fontsize=10)
         ax.get_legend().remove()
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper right", ncols=2, frameon=False, fontsize=9)
     return figure
-
-
-def _draw_above(
-    ax: Axes, x: np.ndarray, y: np.ndarray, values: np.ndarray, level: np.ndarray | float, label: str
-) -> None:
-    """Draw `values`, a coherence (ny, nx), in colour where it exceeds `level`, and in grey elsewhere.
-    x (nx,) and y (ny,) are the coordinates of the values. `label` is that of the colour bar."""
-    ax.set_facecolor("0.92")
-    above = np.where(values > level, values, np.nan)
-    draw_cells(ax, x, y, above, label, norm=Normalize(0, 1), cmap=POSITIVE, extend="neither")
 
 
 def bicoherence_map(higher_order: xr.Dataset) -> Figure:
@@ -320,7 +292,9 @@ def bicoherence_map(higher_order: xr.Dataset) -> Figure:
     for ax, name in zip(axes[0], names, strict=True):
         values = higher_order[name].transpose("omega1", "omega2").values
         level = np.asarray(higher_order[f"{name}_level"].values, float)
-        _draw_above(ax, second, first, values, level, f"{name} (1)")
+        ax.set_facecolor("0.92")
+        above = np.where(values > level, values, np.nan)
+        draw_cells(ax, second, first, above, f"{name} (1)", Normalize(0, 1), POSITIVE)
         ax.set(xlabel="ω₂ / 2π (Hz)", ylabel="ω₁ / 2π (Hz)", title=f"{name}, grey: chance", aspect="equal")
     return figure
 

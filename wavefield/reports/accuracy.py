@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from wavefield import figures
-from wavefield.figures.style import LINES, panels, plain_axes
+from wavefield.figures.style import LINES, finish, panels
 from wavefield.pipeline import Run
 from wavefield.reports.html import Item, Picture, ReportSection, Table, Text
 from wavefield.reports.numbers import number, rms_of, thinned
@@ -163,8 +163,7 @@ def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: fl
         density = np.where(error.density > 0, error.density / rms, np.nan)
         style = LINES[1 + k % (len(LINES) - 1)]
         axes.semilogy(rms * error.bin, density, label=f"{name}, rms {number(rms, digits=2)} {unit}", **style)
-    axes.set(xlabel=f"{symbol} ({unit})", ylabel=f"probability density ({unit}⁻¹)")
-    plain_axes(axes, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=1)
+    finish(axes, f"{symbol} ({unit})", f"probability density ({unit}⁻¹)", columns=1)
 
 
 def pair_misfits(found: xr.Dataset) -> Figure:
