@@ -232,7 +232,7 @@ def test_an_unknown_model_is_refused(good):
 
 def test_report_holds_pictures_and_numbers(good, tmp_path):
     found = calibrate(good, MESH, model=FAST)
-    page = write_calibration(found, tmp_path / "report", lambda: panels(1)[0])
+    page = write_calibration(found, tmp_path / "report", panels(1)[0])
     text = page.read_text()
     assert text.index("as it was found in an image") < text.index("The rig, and the water")
     assert "Verdict: the rig can be used" in text

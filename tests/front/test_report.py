@@ -12,8 +12,7 @@ import pytest
 import xarray as xr
 
 from wavefield.pipeline import Run
-from wavefield.reports import write_report
-from wavefield.reports.compose import builders_of, head_of
+from wavefield.reports.compose import builders_of, head_of, write_report
 from wavefield.reports.fields import at_probe, pack
 from wavefield.reports.html import render
 from wavefield.reports.numbers import RunNumbers

@@ -51,7 +51,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
         result = calibrate_experiment(loaded, progress, solving)
     calibration = result.calibration
     with Progress("Drawing the report"):
-        page = write_calibration(calibration, folder, lambda: draw_found(result), report)
+        page = write_calibration(calibration, folder, draw_found(result), report)
     for note in (*result.notes, *calibration.notes):
         click.echo(f"note: {note}")
     if not calibration.usable:

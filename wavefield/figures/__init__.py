@@ -1,7 +1,6 @@
-"""Pictures of cubes, waves and rigs: functions of datasets that return matplotlib figures.
+"""Pictures of cubes, waves and rigs.
 
-Each takes plain xarray datasets (a cube, one step of it, a group of a wave store) and returns a
-`matplotlib.figure.Figure`, which a notebook shows and `savefig` writes.
+Each function takes xarray datasets (a cube, one step of it, a group of a wave store) and returns a figure.
 """
 
 from wavefield.lazy_names import lazy_names

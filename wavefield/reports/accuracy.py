@@ -17,10 +17,10 @@ _STD_UNITS = (("z_std", "mm"), ("u_std", "mm/s"), ("v_std", "mm/s"), ("w_std", "
 
 def accuracy(run: Run) -> ReportSection:
     """Return the section on misfits, standard uncertainties, pairs of cameras, and errors of a simulation."""
-    items = [*_internal(run.cube), *pair_items(run), *_against_truth(run)]
-    shown = "misfits, standard uncertainties, pairs of cameras"
     compared = ", errors against the exact fields" if run.truth is not None else ""
-    return ReportSection("Accuracy", items, folded=True, gist=f"{shown}{compared}")
+    gist = f"misfits, standard uncertainties, pairs of cameras{compared}"
+    items = [*_internal(run.cube), *pair_items(run), *_against_truth(run)]
+    return ReportSection("Accuracy", items, folded=True, gist=gist)
 
 
 def _internal(cube: xr.Dataset) -> list[Item]:
@@ -131,9 +131,7 @@ def pair_items(run: Run) -> list[Item]:
 
 
 def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
-    """Return one table row, as text, for each kind of error and pair of cameras in `Run.pair_statistics`.
-    A row holds the name, the rms in cm, the rms in px, the percentage of errors larger than three times the
-    rms, and the rms of Aubourg et al. (2019). An entry is empty where it does not apply."""
+    """Return a row for each error in `Run.pair_statistics`: name, rms in cm and px, part beyond, paper."""
     rows: list[tuple[str, ...]] = []
     for k in range(found.sizes["error"]):
         error = found.isel(error=k)
@@ -150,9 +148,8 @@ def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
 
 
 def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: float, label: str) -> None:
-    """Draw the densities of the errors of some quantities, one line per pair of cameras.
-    `found` is `Run.pair_statistics`. `factor` converts its values to the displayed unit. `label` is a symbol
-    and this unit, such as "eps_y mm"."""
+    """Draw the densities of the errors of some quantities times `factor`, one line per pair of cameras.
+    `found` is `Run.pair_statistics`; `label` is a symbol and the displayed unit, such as "eps_y mm"."""
     symbol, unit = label.rsplit(" ", 1)
     errors = found.isel(error=np.isin(found.quantity, quantities))
     for k in range(errors.sizes["error"]):
@@ -167,9 +164,7 @@ def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: fl
 
 
 def pair_misfits(found: xr.Dataset) -> Figure:
-    """Draw the distributions of eps_y, mm, and of eps', px, for each pair of cameras on its own.
-    `found` is `Run.pair_statistics`. The figure corresponds to the distributions of eps_Y and of PIV errors
-    in Aubourg et al. (2019)."""
+    """Draw the distributions of eps_y and of eps' for each pair of cameras, from `Run.pair_statistics`."""
     figure, axes = panels(2, height=4.6)
     _draw(axes[0, 0], found, ("eps_y",), 1e3, "eps_y mm")
     _draw(axes[0, 1], found, ("eps_piv",), 1.0, "eps' px")
@@ -178,10 +173,8 @@ def pair_misfits(found: xr.Dataset) -> Figure:
 
 
 def pair_differences(found: xr.Dataset) -> Figure:
-    """Draw the distributions of differences between pairs of cameras in z, dx, dy and dz, px.
-    The panel of z also shows z of a pair computed from two other pairs, minus z measured directly. `found` is
-    `Run.pair_statistics`. The mean over time at each node is not subtracted. The figure corresponds to that
-    of Aubourg et al. (2019)."""
+    """Draw the distributions of differences between pairs of cameras, from `Run.pair_statistics`.
+    The panel of z also shows z of a pair computed from two other pairs, minus z measured directly."""
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     figure, axes = panels(2, 2, height=4.8)
     _draw(axes[0, 0], found, ("z", "z_recombined"), per_metre, "difference of z px")

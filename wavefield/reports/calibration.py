@@ -1,6 +1,6 @@
 """The page of a calibration, with pictures and a file of numbers, and its section in a report."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,11 @@ from wavefield.errors import RigError
 from wavefield.figures import rig_views
 from wavefield.pipeline import Run
 from wavefield.reports import calibration_pictures as pictures
-from wavefield.reports.html import Head, Picture, ReportSection, Table, Text, render
+from wavefield.reports.html import Head, Item, Picture, ReportSection, Table, Text, render
 from wavefield.reports.numbers import number, small
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field, pixel_size
+from wavefield.text import spell_uncertain
 
 REPORT = Product("calibration report")
 _PREDICTED = (
@@ -40,13 +41,12 @@ _LENS_TERMS = {
 def write_calibration(
     calibration: Calibration,
     directory: str | Path,
-    target: Callable[[], Figure | None] | None = None,
+    target: Figure | None = None,
     product: Product = REPORT,
 ) -> Path:
-    """Write the page `index.html` and the file `numbers.yaml` of a calibration into a folder.
-    `target` is a function that returns a figure of the target found in the images, or None. Returns the path
-    of the page. `product` marks both files as written by wavefield for one experiment. Raises StoreError if
-    one of them exists without this mark."""
+    """Write `index.html` and `numbers.yaml` of a calibration into a folder; return the path of the page.
+    `target` shows the target found in the images. Raises StoreError if one of the files exists and does not
+    carry the mark `product`."""
     directory = Path(directory)
     content: dict[str, Any] = {
         "usable": calibration.usable,
@@ -56,12 +56,20 @@ def write_calibration(
         "left_out_points": dict(calibration.left_out),
     }
     drawn: list[CalibrationPicture] = []
-    if target is not None and (found := target()) is not None:
-        drawn.append(("target", "The target as it was found in an image of each camera", found))
+    if target is not None:
+        drawn.append(("target", "The target as it was found in an image of each camera", target))
     observations, fit = calibration.observations, calibration.fit
     if observations is not None and fit is not None and calibration.predicted is not None:
         fitted, surface = residual_summary(observations, fit, calibration.rig, calibration.reference)
-        content |= fitted | _predicted(calibration)
+        errors = calibration.predicted
+        content |= fitted | {
+            "model": calibration.model,
+            "predicted": {
+                "reprojection_px": dict(errors.reprojection),
+                "z_mm": 1e3 * errors.z_std,
+                "image_covered": dict(errors.coverage),
+            },
+        }
         content["parameters"] = _parameters(calibration, observations, fit)
         drawn += _figures(calibration, observations, fit, surface)
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
@@ -71,26 +79,10 @@ def write_calibration(
     return page
 
 
-def _predicted(calibration: Calibration) -> dict[str, Any]:
-    """Return the name of the camera model and the errors that the fit predicts, as in `numbers.yaml`."""
-    errors = calibration.predicted
-    assert errors is not None
-    return {
-        "model": calibration.model,
-        "predicted": {
-            "reprojection_px": dict(errors.reprojection),
-            "z_mm": 1e3 * errors.z_std,
-            "image_covered": dict(errors.coverage),
-        },
-    }
-
-
 def _figures(
     calibration: Calibration, observations: Observations, fit: Fit, surface: FlatSurface | None
 ) -> Iterator[CalibrationPicture]:
-    """Yield key, title and figure of the pictures of the page.
-    `surface` holds the nodes of the flat target, triangulated with the rig, or is None without a flat
-    target."""
+    """Yield key, title and figure of the pictures of the page; `surface` is the flat target, triangulated."""
     with suppress(RigError):  # cameras without a common field
         seen = common_field(calibration.rig.cameras.values())
         yield "rig", "The rig, and the water that all cameras see", rig_views(calibration.rig, seen)
@@ -103,9 +95,7 @@ def _figures(
 
 
 def _parameters(calibration: Calibration, observations: Observations, fit: Fit) -> dict[str, Any]:
-    """Return the lens and pose of each camera with standard uncertainties, by camera and parameter.
-    A lens parameter is a list of its value and its uncertainty. The translation, and the uncertainties of
-    rotation and translation, are lists of three numbers."""
+    """Return the lens parameters, value and standard uncertainty, and the pose of each camera, by camera."""
     std, covariance = np.sqrt(np.diag(fit.covariance)), fit.covariance
     out: dict[str, Any] = {}
     for c, name in enumerate(observations.cameras):
@@ -135,8 +125,7 @@ def _parameters(calibration: Calibration, observations: Observations, fit: Fit) 
 
 
 def calibration_page(content: Content, drawn: Sequence[CalibrationPicture]) -> str:
-    """Return the HTML page of a calibration.
-    `content` is what `numbers.yaml` holds, `drawn` are key, title and figure of each picture."""
+    """Return the HTML page of a calibration from the content of `numbers.yaml` and the pictures."""
     usable = content["usable"]
     verdict = "the rig can be used" if usable else "the rig cannot be used"
     weight = "grave" if not usable else "remark" if content["notes"] else "note"
@@ -150,16 +139,11 @@ def _sections(content: Content, drawn: Sequence[CalibrationPicture]) -> Iterator
     if rows:
         table = Table("Problems must be solved before the rig can be used", ("kind", "remark"), rows)
         yield ReportSection("What needs attention", [table])
-    residuals, general = (
-        [
-            Picture(figure, f"{title}.", title)
-            for name, title, figure in drawn
-            if (name == "residuals") == misfit
-        ]
-        for misfit in (True, False)
-    )
+    shown = [(name, Picture(figure, f"{title}.", title)) for name, title, figure in drawn]
+    residuals: list[Item] = [picture for name, picture in shown if name == "residuals"]
+    general: list[Item] = [picture for name, picture in shown if name != "residuals"]
     if "cameras" not in content:
-        yield ReportSection("Pictures", [*general])
+        yield ReportSection("Pictures", general)
         return
     yield ReportSection("Cameras", [_cameras(content), Text(_PREDICTED)])
     between = ReportSection("Between cameras")
@@ -168,10 +152,10 @@ def _sections(content: Content, drawn: Sequence[CalibrationPicture]) -> Iterator
     if "flat_target" in content:
         between.items.append(Text(_flat(content)))
     yield between
-    yield ReportSection("Target and rig", [*general], layout="beside")
+    yield ReportSection("Target and rig", general, layout="beside")
     largest = max(c["max_px"] for c in content["cameras"].values())
     gist = f"every point, and the mean per cell of the image; at most {largest:.2g} px"
-    yield ReportSection("Residuals", list(residuals), folded=True, gist=gist)
+    yield ReportSection("Residuals", residuals, folded=True, gist=gist)
     items = [_lens(content), Text(_CORRELATED)]
     yield ReportSection(
         "Camera model", items, folded=True, gist=f"{content['model']}; parameters of the lenses"
@@ -220,21 +204,16 @@ def _flat(content: Content) -> str:
     )
 
 
-def with_std(value: float, std: float) -> str:
-    """Return a value and its standard uncertainty as text, "value ± std", with two digits of `std`.
-    If `std` is zero, because the value was not fitted, the text is the value and "(held)"."""
-    if not std > 0:
-        return f"{value:.6g} (held)"
-    digits = max(0, 1 - int(np.floor(np.log10(std))))
-    form = f".{digits}f" if digits <= 7 else ".2g"
-    return f"{value:{form}} ± {std:{form}}"
+def _with_std(value: float, std: float) -> str:
+    """Return a lens parameter and its standard uncertainty as text; `std` is 0 if it was not fitted."""
+    return spell_uncertain(value, std, "").replace("+-", "±").strip() if std > 0 else f"{value:.6g} (held)"
 
 
 def _lens(content: Content) -> Table:
     cameras = content["parameters"]
     terms = dict.fromkeys(term for values in cameras.values() for term in values)
     rows = [
-        (term.replace("_", " "), *(with_std(*v[term]) if term in v else "" for v in cameras.values()))
+        (term.replace("_", " "), *(_with_std(*v[term]) if term in v else "" for v in cameras.values()))
         for term in terms
         if not term.startswith(("rotation", "translation"))
     ]
@@ -242,7 +221,7 @@ def _lens(content: Content) -> Table:
 
 
 def rig_sentences(rig: Rig) -> Iterator[str]:
-    """Yield two sentences: on the distances of the cameras from the target, and on their common field."""
+    """Yield a sentence on the distances of the cameras from the target, and one on their common field."""
     distances = ", ".join(
         f"{name} {float(np.linalg.norm(camera.centre)):.2f} m" for name, camera in rig.cameras.items()
     )
@@ -274,8 +253,7 @@ def calibration_folder(run: Run) -> Path | None:
 
 
 def calibration_section(run: Run) -> ReportSection:
-    """Return the section with the residuals of the calibration and the path of its page of pictures.
-    It has no items if there is no calibration report next to the rig file."""
+    """Return the section with the residuals of the calibration, if its report is next to the rig file."""
     section = ReportSection("Calibration", folded=True)
     folder = calibration_folder(run)
     if folder is None:

@@ -37,8 +37,7 @@ def _image_frame(axes: Axes, size: tuple[int, int]) -> None:
 
 
 def _draw_arrows(axes: Axes, pixel: Array, residual: Array, length: float, width: float, colour: str) -> None:
-    """Draw residuals (n, 2), px, as arrows at the pixels (n, 2), with a key.
-    The 90 % quantile of the residuals is drawn `length` px long; `width` is that of matplotlib's `quiver`."""
+    """Draw residuals (n, 2), px, as arrows at the pixels (n, 2), the 90 % quantile `length` px long."""
     large = float(np.percentile(np.hypot(*residual.T), 90)) or 1e-9
     arrows = axes.quiver(
         *pixel.T, *residual.T, angles="xy", scale_units="xy", scale=large / length, width=width, color=colour
@@ -48,8 +47,7 @@ def _draw_arrows(axes: Axes, pixel: Array, residual: Array, length: float, width
 
 
 def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
-    """Draw two maps of the residuals of one camera: of each point, and of the mean in cells of the image.
-    `camera` is the index of the camera in `observations.cameras`."""
+    """Draw two maps of the residuals of the camera with this index: each point, and means in cells."""
     o = observations
     rows = o.camera == camera
     pixel, miss, size = o.pixel[rows], fit.residual[rows], o.sizes[camera]
@@ -139,9 +137,7 @@ def target_points(
     images: Mapping[str, np.ndarray], points: Mapping[str, TargetPoints], rig: Rig | None
 ) -> Figure:
     """Draw one image (row, column) of the target per camera with the nodes found in it.
-    `images` and the nodes are by camera. Pass `rig` only if the target lies in its plane z = 0: a circle then
-    marks the origin of the rig. Corresponds to the figure of the calibration grid in Aubourg et al.
-    (2019)."""
+    With `rig`, a circle marks its origin: the target must then lie in the plane z = 0."""
     figure, axes = panels(len(images), width=4.0, height=3.8)
     marks = {"marker": "+", "linestyle": "", "color": LINES[2]["color"], "markersize": 5}
     for ax, (name, image) in zip(axes[0], images.items(), strict=True):
@@ -156,9 +152,7 @@ def target_points(
 
 
 def draw_found(result: TargetRig) -> Figure | None:
-    """Draw the nodes found in one image of each camera, or return None if no camera has images.
-    For each camera this is the image of the flat pose, or without one the image with the most nodes. A camera
-    whose points were read from tables has no images."""
+    """Draw the nodes found in the flat or best image of each camera; None if all were read from tables."""
     poses = {
         camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))
         for camera, found in result.views.items()

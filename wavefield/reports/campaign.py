@@ -25,9 +25,7 @@ _CAPTION = "A dash: not measured, not analysed, or the record is too short"
 
 
 def compare(title: str, cubes: Sequence[tuple[str, Path]], output: str | Path) -> Path:
-    """Write the page that compares the runs of a catalog, and return its path.
-    `cubes` holds the name of each run and the path of its cube. A run whose cube does not exist is listed as
-    not run yet. `output` is the path of the page."""
+    """Write the page `output` that compares the runs of a catalog, given by name and path of their cubes."""
     output = Path(output)
     groups = {run: _groups(cube) for run, cube in cubes if cube.is_dir()}
     head = ("run", "verdict", "steps", *(heading for _, _, heading, _ in _COLUMNS), "report")
@@ -39,8 +37,7 @@ def compare(title: str, cubes: Sequence[tuple[str, Path]], output: str | Path) -
 
 
 def _groups(cube: Path) -> dict[str, xr.Dataset]:
-    """Return the groups "statistics" and "kinematics" of a cube's wave store, by name.
-    A group that the store lacks is left out; without a store the result is empty."""
+    """Return those of the groups "statistics" and "kinematics" that a cube's wave store has, by name."""
     run, names = open_run(cube), ("statistics", "kinematics")
     return {name: group for name in names if (group := run.wave_group(name)) is not None}
 

@@ -16,7 +16,6 @@ from wavefield.reports.numbers import RunNumbers, in_light_sheet
 from wavefield.reports.result import attention, recipe, result, run_summary
 from wavefield.reports.waves import nonlinearity, spectra
 from wavefield.store import beside
-from wavefield.store.read import find_store
 from wavefield.store.recipe import source_of
 from wavefield.store.verdict import Verdict, read_verdict
 
@@ -56,15 +55,10 @@ def report(
     >>> page.name  # doctest: +SKIP
     'report.html'
     """
-    output = Path(output) if output is not None else page_of(store, "report")
     run = measured_run(store)
+    output = Path(output) if output is not None else beside(run.store, "report", ".html")
     check_writable(output, Product("report", source_of(run.cube)), inputs=[run.store])
     return write_report(run, output, progress, read_verdict(run.store))
-
-
-def page_of(cube: str | Path, kind: str) -> Path:
-    """Return the default path of a cube's page, in the folder of the cube; `kind` is "report" or "paper"."""
-    return beside(find_store(cube), kind, ".html")
 
 
 def measured_run(store: str | Path) -> Run:
@@ -81,24 +75,7 @@ def write_report(
     progress: Callable[[int, int], None] | None = None,
     verdict: Verdict | None = None,
 ) -> Path:
-    """Write the report of a run as one HTML file.
-
-    Parameters
-    ----------
-    run : Run
-        The cube, its waves, experiment and rig.
-    output : path
-        File to write.
-    progress : callable, optional
-        Called with the number of sections drawn and of all sections.
-    verdict : Verdict, optional
-        Verdict on the cube: its line stands at the top, its remarks below the results.
-
-    Returns
-    -------
-    Path
-        The file.
-    """
+    """Write the report of a run as one HTML file, with the verdict if there is one, and return its path."""
     output = Path(output)
     sections = build_all(builders_of(run, verdict), progress)
     write_text(output, render(head_of(run, verdict), sections), Product("report", source_of(run.cube)))
@@ -106,8 +83,7 @@ def write_report(
 
 
 def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSection]]:
-    """Return functions without arguments that draw the sections of the report, in order.
-    A report on a light sheet has no sections on elevation, waves and distributions."""
+    """Return functions that draw the sections; a light sheet has no elevation, waves and distributions."""
     numbers = RunNumbers(run)
     builders: list[Callable[[], ReportSection]] = [partial(result, numbers), partial(attention, run, verdict)]
     of_surface = [] if in_light_sheet(run) else [spectra, nonlinearity, distributions]
@@ -120,8 +96,7 @@ def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSe
 def build_all(
     builders: list[Callable[[], ReportSection]], progress: Callable[[int, int], None] | None
 ) -> list[ReportSection]:
-    """Return the sections of a page, drawn by `builders`.
-    `progress` is called with the number of sections drawn and of all sections."""
+    """Return the sections that `builders` draw; `progress` receives the number drawn and that of all."""
     sections = []
     for k, build in enumerate(builders):
         if progress:

@@ -12,9 +12,8 @@ from wavefield import figures
 from wavefield.errors import WavefieldError
 from wavefield.figures.display import MARKS_ACROSS, SIGNED, limit
 from wavefield.pipeline import Run
-from wavefield.reports.html import Item, Listing, Picture, Player, ReportSection, Table
+from wavefield.reports.html import Item, Picture, ReportSection, Table
 from wavefield.reports.numbers import extremes_of, number, snapshot, thinned
-from wavefield.store.ledger import status
 from wavefield.variables import FrameStatus
 
 MAX_STEPS = 1500  # steps in the middle of the record that are compared with probes
@@ -87,9 +86,6 @@ def coverage(run: Run) -> ReportSection:
             f"Curves in percent over time; {faulty.size} of {step_status.size} steps have faults.",
         ),
     ]
-    bad_frames = [str(bad) for bad in status(run.store).bad_frames] if run.store.is_dir() else []
-    if bad_frames:
-        section.items.append(Listing("Frames that were missing or bad", "\n".join(bad_frames)))
     return section
 
 
@@ -126,9 +122,7 @@ def setup(run: Run) -> ReportSection:
 
 
 def _middle_frames(run: Run) -> dict[str, np.ndarray]:
-    """Return one image (row, column) of each camera of the rig, by camera.
-    It is the middle frame of the record; if this cannot be read it is the first frame, or else the last. A
-    camera without any of the three is left out."""
+    """Return one image (row, column) of each camera of the rig: the middle frame, or the first or last."""
     out = {}
     for name, series in run.frames.items():
         if run.rig is not None and name in run.rig.cameras:
@@ -147,8 +141,7 @@ def elevation(run: Run) -> ReportSection:
 
 
 def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
-    """Return the probes of a run and "", or None and the reason why they are absent.
-    The reason is empty if the experiment names no probes."""
+    """Return the probes of a run, or None and why they are absent if the experiment names some."""
     try:
         probes = run.probes
     except WavefieldError as error:
@@ -182,8 +175,7 @@ def elevation_pictures(run: Run) -> list[Item]:
 
 
 def probe_items(run: Run) -> list[Item]:
-    """Return a picture of probes and cameras over time, and a table of their differences, by probe.
-    The list is empty without probes, and has no picture if no probe can be compared."""
+    """Return a picture of probes and cameras over time, and a table of their differences, by probe."""
     probes, _ = probes_of(run)
     if probes is None:
         return []
@@ -214,9 +206,8 @@ def probe_items(run: Run) -> list[Item]:
 
 
 def at_probe(cube: xr.Dataset, probe: xr.Dataset) -> xr.Dataset | str:
-    """Compare a probe with the cube at the position of the probe, over the middle of the record.
-    Returns `elevation` of the probe and `z` of the cube, (time,), m, without their means, with their
-    `rms_difference` (m) and `correlation`. If they cannot be compared, it returns the reason, a string."""
+    """Compare a probe with z at its position, both minus their means, in the middle of the record.
+    If they cannot be compared, the result is the reason, a string."""
     first = max(0, (cube.sizes["time"] - MAX_STEPS) // 2)
     z = cube.z.isel(time=slice(first, first + MAX_STEPS))
     time, x, y = z["time"].values.astype(float), float(probe.probe_x), float(probe.probe_y)
@@ -224,7 +215,9 @@ def at_probe(cube: xr.Dataset, probe: xr.Dataset) -> xr.Dataset | str:
         return "the experiment file does not give its position"
     if not (z.x.min() <= x <= z.x.max() and z.y.min() <= y <= z.y.max()):
         return f"outside the grid, at x {x:.3g} m, y {y:.3g} m"
-    here = _around(z, x, y).interp(x=x, y=y).values.astype(float)
+    j, i = (int(np.clip(np.searchsorted(z[d], at) - 1, 0, z.sizes[d] - 2)) for d, at in (("y", y), ("x", x)))
+    around = z.isel(x=slice(i, i + 2), y=slice(j, j + 2)).load()
+    here = around.interp(x=x, y=y).values.astype(float)
     clock, values = probe["time"].values.astype(float), probe["elevation"].values.astype(float)
     good = np.isfinite(values)
     there = np.full_like(here, np.nan)
@@ -246,26 +239,13 @@ def at_probe(cube: xr.Dataset, probe: xr.Dataset) -> xr.Dataset | str:
     )
 
 
-def _around(z: xr.DataArray, x: float, y: float) -> xr.DataArray:
-    """Return z (time, 2, 2) at the four nodes around a point x, y, metres, loaded."""
-    i, j = (int(np.clip(np.searchsorted(z[d], at) - 1, 0, z.sizes[d] - 2)) for d, at in (("x", x), ("y", y)))
-    return z.isel(x=slice(i, i + 2), y=slice(j, j + 2)).load()
-
-
 MAX_NODES = 8_000  # nodes of a field in the player; a screen shows no more
 MAX_BYTES = 1_500_000  # of the uncompressed fields; compression halves them at least
 
 
-def player(cube: xr.Dataset, still: Picture) -> Player:
-    """Return the player, an animation of the surface, for a cube (time, y, x).
-    `still` is a picture for readers without scripts."""
-    return Player(pack(cube), still)
-
-
 def excerpt(cube: xr.Dataset) -> xr.Dataset:
-    """Return z, u, v, w (time, y, x), loaded, for the player, an animation in the page.
-    The steps are successive ones in the middle of the record. Steps before and after them are left out, and
-    nodes in between, so that the fields fit into the page."""
+    """Return z, u, v, w (time, y, x), loaded, for the animation.
+    Only steps in the middle of the record and every n-th node are kept, so that they fit into a page."""
     thin = max(1, int(np.ceil(np.sqrt(cube.sizes["x"] * cube.sizes["y"] / MAX_NODES))))
     nodes = -(-cube.sizes["x"] // thin) * -(-cube.sizes["y"] // thin)
     steps = max(2, MAX_BYTES // (2 * nodes))
@@ -276,9 +256,8 @@ def excerpt(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _code(values: np.ndarray, half: float) -> str:
-    """Encode values (time, y, x) as text for the script of the player.
-    Codes 1 to 255 stand for values from -half to half, 0 for a missing value. Differences of the codes along
-    x and y, modulo 256, are compressed and written in base 64."""
+    """Encode values (time, y, x) from -half to half as codes 1 to 255, missing ones as 0, for the player.
+    Differences of the codes along x and y, modulo 256, are compressed and written in base 64."""
     scaled = np.round(np.clip(128 + 127 * values / half, 1, 255))
     codes = np.where(np.isfinite(values), scaled, 0).astype(np.uint8)
     differences = np.diff(np.diff(codes, axis=2, prepend=np.uint8(0)), axis=1, prepend=np.uint8(0))

@@ -83,21 +83,6 @@ class Text(Item):
 
 
 @dataclass(frozen=True)
-class Listing(Item):
-    """A long plain text, hidden until the reader clicks on its title."""
-
-    title: str
-    words: str
-
-
-@dataclass(frozen=True)
-class Sentences(Item):
-    """Short statements, one below the other."""
-
-    words: Sequence[str]
-
-
-@dataclass(frozen=True)
 class Facts(Item):
     """The main results, each with its name, its value and a note in small print."""
 
@@ -147,13 +132,7 @@ class Head:
 
 
 def with_code(words: str) -> Markup:
-    """Return plain text as HTML, with the text between backticks as code.
-
-    Examples
-    --------
-    >>> print(with_code("name <them> as `rest:`"))
-    name &lt;them&gt; as <code>rest:</code>
-    """
+    """Return plain text as HTML, with the text between backticks as code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(words))))
 
 

@@ -38,15 +38,8 @@ def number(value: float, unit: str = "", digits: int = 3) -> str:
 
 
 def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> str:
-    """Return a variable of a wave store's group, times `factor`, as text: value ± standard uncertainty.
-
-    The text is empty if the group, the variable or its uncertainty `name_std` is missing or not finite.
-
-    Examples
-    --------
-    >>> with_interval(xr.Dataset({"h": 0.0503, "h_std": 0.0041}), "h", 100)
-    '5.03 ± 0.41'
-    """
+    """Return a variable of a wave store's group, times `factor`, as text such as "5.03 ± 0.41".
+    The text is empty if the group, the variable or its uncertainty `name_std` is missing or not finite."""
     if group is None or not {name, f"{name}_std"} <= set(group):
         return ""
     value, std = factor * float(group[name]), factor * float(group[f"{name}_std"])
@@ -54,19 +47,12 @@ def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> s
 
 
 def small(value: float, unit: str) -> str:
-    """Return a length or an angle as text, to two digits, without an exponent.
-
-    Examples
-    --------
-    >>> small(0.41, "mm"), small(5.8e-05, "mrad")
-    ('0.41 mm', 'below 0.001 mrad')
-    """
+    """Return a length or an angle as text, to two digits, such as "0.41 mm" or "below 0.001 mrad"."""
     return f"{value:.2g} {unit}" if abs(value) >= 1e-3 else f"below 0.001 {unit}"
 
 
 def thinned(cube: xr.Dataset, *names: str) -> xr.Dataset:
-    """Return the named variables of a cube, loaded, at every n-th step.
-    n is the smallest number with which a variable has at most about `MAX_VALUES` values."""
+    """Return the named variables of a cube, loaded, at so many steps as give `MAX_VALUES` values each."""
     size = cube.sizes["time"] * cube.sizes["y"] * cube.sizes["x"]
     return cube[list(names)].isel(time=slice(None, None, -(-size // MAX_VALUES))).load()
 
@@ -90,8 +76,7 @@ def extremes_of(snap: xr.Dataset) -> str:
 
 
 def reason_of(run: Run, name: str) -> str:
-    """Return why the part `name` of a run, such as "waves", is absent; empty if it is there.
-    Paths in it are relative to the folders of the run."""
+    """Return why the part `name` of a run, such as "waves", is absent; empty if it is there."""
     return in_folder(run, run.reason(name))
 
 
@@ -121,10 +106,6 @@ class RunNumbers:
         return thinned(self.run.cube, *_FIELDS)
 
     @cached_property
-    def _measured(self) -> int:
-        return int(((self.part.quality & int(Quality.MEASURED)) != 0).sum())
-
-    @cached_property
     def n_in_view(self) -> int:
         """Number of values of `part` at nodes that the cameras see, at least 1."""
         quality = self.part.quality
@@ -139,14 +120,9 @@ class RunNumbers:
     @property
     def measured(self) -> float:
         """Fraction of all values of `part` that were measured, not filled."""
-        return float(self._measured / self.part.quality.size)
+        return float(((self.part.quality & int(Quality.MEASURED)) != 0).mean())
 
     @property
-    def measured_in_view(self) -> float:
-        """Fraction measured, not filled, of all values of `part` at nodes that the cameras see."""
-        return self._measured / self.n_in_view
-
-    @cached_property
     def step_status(self) -> str:
         """Number of steps with each `frame_status`, as text."""
         status = self.run.cube.frame_status.values

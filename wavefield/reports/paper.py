@@ -13,12 +13,13 @@ from wavefield.atomic_write import Product, check_writable, write_text
 from wavefield.errors import StoreError
 from wavefield.pipeline import Run
 from wavefield.reports.accuracy import pair_items
-from wavefield.reports.compose import build_all, experiment_name, measured_run, page_of
+from wavefield.reports.compose import build_all, experiment_name, measured_run
 from wavefield.reports.fields import distributions, elevation, setup, snapshots
 from wavefield.reports.html import Head, Picture, ReportSection, Table, Text, render
 from wavefield.reports.numbers import number, rms_of
 from wavefield.reports.waves import nonlinearity, spectra
 from wavefield.rig.field import pixel_size
+from wavefield.store import beside
 from wavefield.store.cube import open_cube
 from wavefield.store.read import find_store
 from wavefield.store.recipe import source_of
@@ -63,8 +64,8 @@ def paper(
     >>> page.name  # doctest: +SKIP
     'paper.html'
     """
-    output = Path(output) if output is not None else page_of(store, "paper")
     path = find_store(store)
+    output = Path(output) if output is not None else beside(path, "paper", ".html")
     check_writable(output, _product(open_cube(path)), inputs=[path])
     still = None if rest is None else measured_run(rest).cube
     return _write(measured_run(path), still, output, progress)
@@ -77,7 +78,7 @@ def _write(
         raise StoreError(run.reason("waves") or "the waves have no spectra: run `wavefield analyze` again")
     of_report = (setup, snapshots, distributions, spectra, nonlinearity, _plane_coherence, elevation)
     builders: list[Callable[[], ReportSection]] = [partial(build, run) for build in of_report]
-    builders += [partial(_still_water, run, still), partial(_pairs, run), partial(_numbers, run, still)]
+    builders += [partial(_still_water, still), partial(_pairs, run), partial(_numbers, run, still)]
     sections = [replace(section, folded=False) for section in build_all(builders, progress)]
     head = Head(
         f"{experiment_name(run)}: the paper's figures",
@@ -89,10 +90,6 @@ def _write(
 
 def _product(cube: xr.Dataset) -> Product:
     return Product("paper page", source_of(cube))
-
-
-def _pixel(run: Run) -> float:
-    return pixel_size(run.rig, run.grid) if run.rig is not None else float("nan")
 
 
 def _plane_coherence(run: Run) -> ReportSection:
@@ -108,27 +105,17 @@ def _plane_coherence(run: Run) -> ReportSection:
     return ReportSection("Coherence over wave vectors", [picture])
 
 
-def _still_water(run: Run, still: xr.Dataset | None) -> ReportSection:
-    section = ReportSection("Still water")
+def _still_water(still: xr.Dataset | None) -> ReportSection:
     if still is None:
-        section.items.append(Text("No still-water record was given (--rest): the paper's figure needs one."))
-        return section
+        absent = Text("No still-water record was given (--rest): the paper's figure needs one.")
+        return ReportSection("Still water", [absent])
     fields = still[["z", "u", "v", "w"]].load().assign_attrs(still.attrs)
-    rate, pixel = float(still.attrs["frame_rate"]), _pixel(run)
-    z, about_mean = rms_of(fields.z), rms_of(fields.z - fields.z.mean("time"))
-    sizes = {"z − z_rest": z, "z − ⟨z⟩ − z_rest": about_mean}
-    sizes |= {f"d{axis}": rms_of(fields[name]) / rate for axis, name in zip("xyz", "uvw")}
-    rows = [(name, number(100 * v, "cm", 2), number(v / pixel, "px", 2)) for name, v in sizes.items()]
-    section.items += [
-        Picture(
-            figures.rest_distributions(fields),
-            "z − z_rest, with and without each node's mean over time, and the displacements, which should be "
-            "zero.",
-            f"Densities. Rms of z {1e3 * z:.2g} mm, about the mean {1e3 * about_mean:.2g} mm.",
-        ),
-        Table(f"Rms over {still.sizes['time']} steps of still water", ("", "", ""), rows),
-    ]
-    return section
+    picture = Picture(
+        figures.rest_distributions(fields),
+        "z, with and without each node's mean over time, and the displacements, which should be zero.",
+        f"Densities over {still.sizes['time']} steps. Rms of z {1e3 * rms_of(fields.z):.2g} mm.",
+    )
+    return ReportSection("Still water", [picture])
 
 
 def _pairs(run: Run) -> ReportSection:
@@ -150,7 +137,7 @@ def _numbers(run: Run, still: xr.Dataset | None) -> ReportSection:
     if kinetic is not None:
         fraction = number(100 * float(kinetic.nonlinear_fraction), "%", 2)
         rows.append(("u·∇η over w, rms", "about 10 %", fraction))
-    caption, pixel = "Numbers of the paper and of this experiment", _pixel(run)
-    if np.isfinite(pixel):
-        caption += f"; 1 px is {1e3 * pixel:.2g} mm"
+    caption = "Numbers of the paper and of this experiment"
+    if run.rig is not None:
+        caption += f"; 1 px is {1e3 * pixel_size(run.rig, run.grid):.2g} mm"
     return ReportSection("Numbers", [Table(caption, ("", "paper", "here"), rows)])

@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 
 from wavefield.pipeline import Run
-from wavefield.reports.fields import player, probes_of, surface_picture
-from wavefield.reports.html import Facts, Item, Remarks, ReportSection, Table, Text
+from wavefield.reports.fields import pack, probes_of, surface_picture
+from wavefield.reports.html import Facts, Item, Player, Remarks, ReportSection, Table, Text
 from wavefield.reports.numbers import (
     RunNumbers,
     in_folder,
@@ -31,8 +31,8 @@ _NO_PEAK = "No spectral peak"  # first words of the note that gives the reason
 
 def result(numbers: RunNumbers) -> ReportSection:
     """Return the section at the top of the report: an animation of the surface and the main results."""
-    still = surface_picture(snapshot(numbers.run.cube))
-    return ReportSection("Result", [player(numbers.run.cube, still), Facts(facts(numbers))], layout="result")
+    player = Player(pack(numbers.run.cube), surface_picture(snapshot(numbers.run.cube)))
+    return ReportSection("Result", [player, Facts(facts(numbers))], layout="result")
 
 
 def facts(numbers: RunNumbers) -> list[tuple[str, str, str]]:
@@ -42,7 +42,11 @@ def facts(numbers: RunNumbers) -> list[tuple[str, str, str]]:
     duration = cube.sizes["time"] / rate
     lasting = spell_time(duration) if duration > 120 else f"{duration:.3g} s"
     std = {n: 1e3 * median_of(thinned(cube, f"{n}_std")[f"{n}_std"]) for n in "zuvw"}
-    in_view = "" if numbers.in_view > 0.9995 else f"; {_percent(numbers.measured_in_view)} of what is in view"
+    in_view = (
+        ""
+        if numbers.in_view > 0.9995
+        else f"; {_percent(numbers.measured / numbers.in_view)} of what is in view"
+    )
     sheet, level = in_light_sheet(run), ""
     if "z_level_std" in cube and not sheet:
         level = f"; common to all z: {number(1e3 * float(cube.z_level_std), 'mm', 2)}"
@@ -68,8 +72,7 @@ def _percent(share: float) -> str:
 
 
 def _of_waves(run: Run) -> list[tuple[str, str, str]]:
-    """Return rows (name, value, note) of wave height and peak period with their standard uncertainties.
-    The note of an unknown value is the reason."""
+    """Return rows (name, value ± standard uncertainty, note) of wave height and peak period."""
     statistics = run.wave_group("statistics")
     if statistics is None:
         reason = reason_of(run, "waves") or "the waves have no statistics"
@@ -139,9 +142,7 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
 
 
 def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str]) -> list[tuple[str, str]]:
-    """Return a table row with the percentage of values that were measured without each camera.
-    The list is empty if every camera took part everywhere. `quality` is (time, y, x). Percentages are of
-    `n_in_view`, the number of values at nodes that the cameras see."""
+    """Return a table row with the percentage of `n_in_view` values measured without each camera, if any."""
     shares = []
     for index, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(index) & ~Quality.FEWER_CAMERAS)

@@ -5,14 +5,13 @@ import xarray as xr
 
 from wavefield import figures
 from wavefield.pipeline import Run
-from wavefield.reports.html import Item, Picture, ReportSection, Sentences
+from wavefield.reports.html import Item, Picture, ReportSection, Text
 from wavefield.reports.numbers import median_of, number, rms_of, snapshot
 from wavefield.waves.motion import kinematics_at
 
 
 def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[Item]:
-    """Return pictures of the spectra E(k, omega) and E(kx, ky) of w.
-    The arguments are the groups ``/spectra`` and ``/dispersion`` of a wave store."""
+    """Return pictures of E(k, omega) and E(kx, ky) of w, from the groups `/spectra` and `/dispersion`."""
     energy = group.E.sel(quantity="w").values
     positive = energy[energy > 0]
     decades = float(np.log10(positive.max() / np.median(positive))) if positive.size else 0.0
@@ -47,8 +46,7 @@ def spectra(run: Run) -> ReportSection:
     group, dispersion = run.wave_group("spectra"), run.wave_group("dispersion")
     if run.waves is None or group is None:
         return section
-    if notes := [note for note in str(run.waves.attrs.get("notes", "")).splitlines() if note]:
-        section.items.append(Sentences(notes))
+    section.items += [Text(note) for note in str(run.waves.attrs.get("notes", "")).splitlines() if note]
     section.items += spectrum_pictures(group, dispersion)
     section.gist = "over wavenumber, frequency and direction"
     if share := _on_relation(dispersion):
@@ -106,8 +104,7 @@ def kinematics_picture(snap: xr.Dataset) -> Picture:
 
 
 def coherence_picture(coherence: xr.Dataset) -> Picture:
-    """Return a picture of the coherence of z_t with the terms of the kinematic boundary condition.
-    `coherence` is the group ``/coherence`` of a wave store."""
+    """Return a picture of the coherence of z_t with other terms, from the group `/coherence` of the waves."""
     valid = coherence.where(coherence["valid"]) if "valid" in coherence else coherence
     total, nonlinear = (median_of(np.abs(valid.C.sel(term=term).values)) for term in ("tot", "nl"))
     return Picture(
@@ -121,8 +118,7 @@ def coherence_picture(coherence: xr.Dataset) -> Picture:
 
 
 def nonlinear_ratio_picture(kinematics: xr.Dataset) -> Picture:
-    """Return a picture of the ratio of the nonlinear term to the vertical velocity.
-    `kinematics` is the group ``/kinematics`` of a wave store."""
+    """Return a picture of the ratio of nonlinear term to w, from the group `/kinematics` of the waves."""
     ratio = kinematics.nonlinear_ratio_k
     return Picture(
         figures.nonlinear_ratio_curves(kinematics),
