@@ -17,7 +17,7 @@ from wavefield.explorer import parts
 from wavefield.explorer.cameras import keep_pixels_square, show_frame
 from wavefield.explorer.lights import StatusLight, red_lights
 from wavefield.explorer.live import POLL_S, FollowedSet, Follower
-from wavefield.explorer.map import arrows, top_speed
+from wavefield.explorer.map import arrows, draw_layers, top_speed
 from wavefield.explorer.parts import plain
 from wavefield.explorer.server import PageServer, make_server
 from wavefield.figures.display import display
@@ -27,8 +27,7 @@ _VARIABLES = ("z", "w", "u", "v", "z_t", "eps_y", "eps_piv", "z_std")
 
 
 def lights_table(lights: tuple[StatusLight, ...]) -> str:
-    """Return status lights as HTML.
-    A table holds the lights of single cameras; the lights of pairs of cameras and of the rig are below it."""
+    """Return status lights as HTML: a table of single cameras, and below it pairs of cameras and the rig."""
     of_cameras = [light for light in lights if light.camera and "-" not in light.camera]
     cameras = list(dict.fromkeys(light.camera for light in of_cameras))
     cells = {(light.name, light.camera): light for light in of_cameras}
@@ -57,8 +56,7 @@ class CameraView:
 
 
 class FollowPage:
-    """The page of an experiment that is being recorded, in one browser tab.
-    `probes` are marked on the map."""
+    """The page of an experiment that is being recorded, in one browser tab, with probes on the map."""
 
     def __init__(self, follower: Follower, probes: xr.Dataset | None = None) -> None:
         self._follower = follower
@@ -88,11 +86,7 @@ class FollowPage:
             aspect_ratio=1.3, sizing_mode="scale_width", x_axis_label="x (m)", y_axis_label="y (m)",
         )  # fmt: skip
         made.title.text = "waiting for the first measured step"
-        made.grid.grid_line_color = None
-        image = made.image("image", source=self.sources["image"], color_mapper=self.mapper)
-        made.x_range.renderers = made.y_range.renderers = [image]
-        made.line("x", "y", source=self.sources["arrows"], color=parts.INK, line_width=1.1)
-        parts.draw_probes(made, self.sources["probes"])
+        draw_layers(made, self.sources, self.mapper)
         made.add_layout(parts.colour_bar(self.mapper), "right")
         return made
 
@@ -110,9 +104,7 @@ class FollowPage:
         for name, children in roots.items():
             document.add_root(column(*children, sizing_mode="stretch_width", name=name))
         title = self._follower.experiment.name
-        parts.apply_template(
-            document, title, "follow", ("controls", "views", "picked", "cameras"), keys=False
-        )
+        parts.apply_template(document, title, "follow", ("controls", "views", "picked", "cameras"))
         document.add_periodic_callback(self.refresh, int(1000 * POLL_S))
         self.refresh()
 
@@ -186,14 +178,12 @@ class FollowPage:
 
 
 def _large(heading: str, colour: str, words: str) -> str:
-    """Return HTML with `heading` in a large font and a colour, and `words` after it.
-    `words` must be HTML already; they are not escaped."""
+    """Return HTML with `heading` in a large font and a colour, and after it `words`, which are HTML."""
     return f"<b style='font-size: 19px; color: {colour}'>{plain(heading)}</b> &nbsp; {words}"
 
 
 def follow_server(follower: Follower, port: int | None = None) -> PageServer:
-    """Return a server of the pages of an experiment that is being recorded.
-    `port` is by default the first free one of `DEFAULT_PORTS`. Raises WavefieldError if no port is free."""
+    """Return a server of the pages of an experiment that is being recorded (`make_server`)."""
     probes = None
     with suppress(WavefieldError):  # the page only marks them on the map
         if follower.experiment.probes:

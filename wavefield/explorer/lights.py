@@ -25,38 +25,29 @@ _ORDER = ("arrival", "synchronisation", "brightness", "saturation", "seeding", "
           "range of z", "coverage")  # fmt: skip
 
 
-@dataclass(frozen=True)
-class LightLimits:
-    """Limits of the status lights.
-    A quantity is doubtful beyond the first limit and bad beyond the second. If the second limit is smaller
-    than the first, "beyond" means below."""
-
-    saturated: Limits = (0.01, 0.05)  # fraction of pixels
-    cells: Limits = (0.6, 0.3)  # fraction of cells with beads
-    bead_size: Limits = (2.5, np.inf)  # standard deviation of the images of beads, px
-    silence: Limits = (2.0, 5.0)  # time without a new frame, minus `INTERVALS` frame intervals, s
-    delay: Limits = (0.5, 1.0)  # time by which frames come after those of the other cameras, s
-    eps_y: Limits = (0.5, 1.0)  # epipolar error, px
-    matched: Limits = (0.5, 0.2)  # fraction of the visible blocks that match
-    eps_piv: Limits = (0.3, 0.6)  # misfit of displacements, px
-    coverage: Limits = (0.6, 0.3)  # fraction of the grid's nodes that were measured
-    range_used: Limits = (0.8, 0.95)  # highest waves, as a fraction of the searched range of z
-
-
-@dataclass(frozen=True)
-class RelativeLimits:
-    """Limits of the status lights for quantities divided by their medians over the first steps.
-    A ratio is doubtful beyond the first of two limits, and bad beyond the second."""
-
-    brightness: float = 0.5  # bad if the light of beads and of background are both below it: a lamp is off
-    cells: Limits = (0.7, 0.4)  # fraction of cells with beads
-    bead_size: Limits = (1.2, 1.4)  # standard deviation of the images of beads
-    matched: Limits = (0.8, 0.6)  # fraction of the visible blocks that match
-    coverage: Limits = (0.9, 0.7)  # fraction of the grid's nodes that were measured
-
-
+# A quantity is doubtful beyond the first limit and bad beyond the second; if the second is smaller, "beyond"
+# means below.
+LIMITS: dict[str, Limits] = {
+    "saturated": (0.01, 0.05),  # fraction of pixels
+    "cells": (0.6, 0.3),  # fraction of cells with beads
+    "bead_size": (2.5, np.inf),  # standard deviation of the images of beads, px
+    "silence": (2.0, 5.0),  # time without a new frame, minus `INTERVALS` frame intervals, s
+    "delay": (0.5, 1.0),  # time by which frames come after those of the other cameras, s
+    "eps_y": (0.5, 1.0),  # epipolar error, px
+    "matched": (0.5, 0.2),  # fraction of the visible blocks that match
+    "eps_piv": (0.3, 0.6),  # misfit of displacements, px
+    "coverage": (0.6, 0.3),  # fraction of the grid's nodes that were measured
+    "range_used": (0.8, 0.95),  # highest waves, as a fraction of the searched range of z
+}
+# the same for quantities divided by their medians over the first steps
+RELATIVE: dict[str, Limits] = {
+    "brightness": (0.5, 0.5),  # of the light of beads and of background: both are below it if a lamp is off
+    "cells": (0.7, 0.4),
+    "bead_size": (1.2, 1.4),
+    "matched": (0.8, 0.6),
+    "coverage": (0.9, 0.7),
+}
 ARRIVALS = ("arrival", "synchronisation")  # lights about the arrival of frames rather than their content
-LIMITS, RELATIVE = LightLimits(), RelativeLimits()
 INTERVALS = 5  # frame intervals without a new frame that are still normal
 
 
@@ -96,7 +87,7 @@ def frame_features(image: Image) -> FrameFeatures:
     h, w = (n - n % _CELL_PX for n in image.shape)
     cells = image[:h, :w].reshape(h // _CELL_PX, _CELL_PX, w // _CELL_PX, _CELL_PX).max(axis=(1, 3))
     seeded = float(np.mean(cells.astype(np.float32) - background > _BRIGHT * noise))
-    size = blur(image) if seeded > LIMITS.cells[1] else np.nan
+    size = blur(image) if seeded > LIMITS["cells"][1] else np.nan
     return FrameFeatures(dark, background, peak, saturated, seeded, size)
 
 
@@ -118,9 +109,8 @@ class PairSummary:
 
 
 def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, float]) -> StepSummary:
-    """Return the summary of a measured step.
-    `fields` are z (m), eps_piv (px) and quality, (ny, nx), by name. `z_range` holds the ends of the range in
-    which z was searched, m. If no node has a value, eps_piv and range_used are NaN."""
+    """Return the summary of a measured step; eps_piv and range_used are NaN if no node has a value.
+    `fields` are z (m), eps_piv (px) and quality (ny, nx). z was searched between the ends of `z_range`, m."""
     z = np.asarray(fields["z"], float)
     valid = np.isfinite(z)
     if not valid.any():
@@ -144,15 +134,13 @@ class Baseline:
     _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)
 
     def add(self, name: str, values: object) -> None:
-        """Add the summary `values`, a dataclass of numbers, of the camera or pair `name`.
-        Only the first `n_steps` summaries of each are kept; later ones are ignored."""
+        """Add a summary, a dataclass of numbers, of the camera or pair `name`, if it is of a first step."""
         first = self._first.setdefault((type(values), name), [])
         if len(first) < self.n_steps:
             first.append(values)
 
     def medians(self, kind: type[T], name: str = "") -> T | None:
-        """Return the medians of the summaries of class `kind` of the camera or pair `name`.
-        The result is None until `n_steps` summaries have been added."""
+        """Return the medians of `n_steps` summaries of class `kind` of `name`; None until they are there."""
         first = self._first.get((kind, name), [])
         if len(first) < self.n_steps:
             return None
@@ -161,30 +149,24 @@ class Baseline:
 
 
 def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -> list[StatusLight]:
-    """Return the lights of brightness, saturation, seeding and focus of one camera.
-    `now` holds the features of its newest frame, `first` the medians of the features over the first steps, or
-    None while these are not known."""
+    """Return the lights of brightness, saturation, seeding and focus of one camera from its newest frame.
+    `first` holds medians over the first steps, or is None until these are known; so in the next functions."""
     words = f"beads at {now.peak:.0f}, background {now.background:.0f}"
     dark = False
     if first is not None:
         background = _ratio(now.background - first.dark, first.background - first.dark)
         beads = _ratio(now.peak - first.dark, first.peak - first.dark)
-        dark = max(background, beads) < RELATIVE.brightness
+        dark = max(background, beads) < RELATIVE["brightness"][1]
         words += f"; {100 * min(beads, 9.99):.0f} % of the first frames"
     out = [
         StatusLight("brightness", camera, "bad" if dark else "good", words),
         StatusLight(
-            "saturation", camera, _state(now.saturated, LIMITS.saturated),
-            f"{100 * now.saturated:.1f} % saturated",
+            "saturation", camera, _rate("saturated", now, first), f"{100 * now.saturated:.1f} % saturated"
         ),
-    ]  # fmt: skip
+    ]
     if dark:
         return out + [StatusLight(name, camera, "unknown", "too dark") for name in ("seeding", "focus")]
-    seeding, focus = _state(now.cells, LIMITS.cells), _state(now.bead_size, LIMITS.bead_size)
-    if first is not None:
-        seeding = _worse(seeding, _state(_ratio(now.cells, first.cells), RELATIVE.cells))
-        if np.isfinite(first.bead_size):
-            focus = _worse(focus, _state(now.bead_size / first.bead_size, RELATIVE.bead_size))
+    seeding, focus = _rate("cells", now, first), _rate("bead_size", now, first)
     words = f"{100 * now.cells:.0f} % of the cells contain beads"
     out.append(StatusLight("seeding", camera, seeding, words))
     if seeding == "bad" or not np.isfinite(now.bead_size):
@@ -193,12 +175,8 @@ def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -
 
 
 def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> StatusLight:
-    """Return the light of a pair of cameras such as "a-b".
-    It is doubtful or bad if the epipolar error is large or few blocks match, as after one camera was moved.
-    `first` holds the medians of `now` over the first steps, or None while they are not known."""
-    state = _worse(_state(now.eps_y, LIMITS.eps_y), _state(now.matched, LIMITS.matched))
-    if first is not None:
-        state = _worse(state, _state(_ratio(now.matched, first.matched), RELATIVE.matched))
+    """Return the light of a pair of cameras "a-b": bad if they disagree, as after one camera was moved."""
+    state = _worst(_rate("eps_y", now, first), _rate("matched", now, first))
     missed = f"epipolar error {now.eps_y:.2f} px" if np.isfinite(now.eps_y) else "no blocks match"
     return StatusLight("eps_y", pair, state, f"{missed}; {100 * now.matched:.0f} % of the blocks match")
 
@@ -207,37 +185,32 @@ def arrival_lights(
     silent: Mapping[str, float], written: Mapping[str, float], newest: Mapping[str, int], frame_rate: float
 ) -> list[StatusLight]:
     """Return a light "arrival" for each camera, and a light "synchronisation" for each that has frames.
-    The first shows whether frames still arrive, the second how far the camera is behind the others. The
-    mappings are by camera: `silent` holds the time since its newest frame was noticed, s, `written` the time
-    at which this frame was written, s since the epoch, and `newest` its number. `frame_rate` is in Hz."""
+    By camera, `silent` holds the time since its newest frame was noticed, s, `written` the time at which this
+    frame was written, s since the epoch, and `newest` its number. `frame_rate` is in Hz."""
     out = []
     for camera, since in silent.items():
-        state = _state(since - INTERVALS / frame_rate, LIMITS.silence)
+        state = _state(since - INTERVALS / frame_rate, LIMITS["silence"])
         words = "frames arrive" if state == "good" else f"no new frame for {spell_time(since)}"
         out.append(StatusLight("arrival", camera, state, words if camera in newest else f"{words}, none yet"))
     for camera, when in written.items():
         delay, behind = max(written.values()) - when, max(newest.values()) - newest[camera]
         words = f"frame {newest[camera]}"
-        if delay > LIMITS.delay[0]:
+        if delay > LIMITS["delay"][0]:
             words += f", {delay:.1f} s after the others"
         if behind > 2:
             words += f", {behind} frames behind"
-        out.append(StatusLight("synchronisation", camera, _state(delay, LIMITS.delay), words))
+        out.append(StatusLight("synchronisation", camera, _state(delay, LIMITS["delay"]), words))
     return out
 
 
 def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight]:
-    """Return the lights of misfit, fraction of measured nodes, and range of z for a measured step.
-    `first` holds the medians of `now` over the first steps, or None while they are not known."""
-    coverage = _state(now.coverage, LIMITS.coverage)
-    if first is not None:
-        coverage = _worse(coverage, _state(_ratio(now.coverage, first.coverage), RELATIVE.coverage))
-    misfit, used = _state(now.eps_piv, LIMITS.eps_piv), _state(now.range_used, LIMITS.range_used)
-    return [
-        StatusLight("eps'", "", misfit, f"displacements differ by {now.eps_piv:.2f} px"),
-        StatusLight("coverage", "", coverage, f"{100 * now.coverage:.0f} % of the nodes measured"),
-        StatusLight("range of z", "", used, f"{100 * now.range_used:.0f} % of it used"),
-    ]  # fmt: skip
+    """Return the lights of misfit, fraction of measured nodes, and range of z for a measured step."""
+    found = {
+        "eps'": ("eps_piv", f"displacements differ by {now.eps_piv:.2f} px"),
+        "coverage": ("coverage", f"{100 * now.coverage:.0f} % of the nodes measured"),
+        "range of z": ("range_used", f"{100 * now.range_used:.0f} % of it used"),
+    }
+    return [StatusLight(name, "", _rate(field, now, first), words) for name, (field, words) in found.items()]
 
 
 def red_lights(lights: Sequence[StatusLight]) -> list[StatusLight]:
@@ -251,15 +224,22 @@ def _ratio(value: float, reference: float) -> float:
     return value / reference if abs(reference) > 1e-9 else 1.0
 
 
+def _rate(name: str, now: T, first: T | None) -> State:
+    """Return the state of the number `name` of a summary, by its value and by its change since `first`."""
+    value = getattr(now, name)
+    state = _state(value, LIMITS[name])
+    if first is None or name not in RELATIVE:
+        return state
+    return _worst(state, _state(_ratio(value, getattr(first, name)), RELATIVE[name]))
+
+
 def _state(value: float, limits: Limits) -> State:
-    """Return whether a value is good, doubtful or bad.
-    `limits` are those of the states doubtful and bad. Small values are bad if the second limit is below the
-    first."""
+    """Return whether a value is good, doubtful or bad, by the limits of the last two; NaN is good."""
     doubtful, bad = limits
     if bad < doubtful:
         value, doubtful, bad = -value, -doubtful, -bad
     return "bad" if value > bad else "doubtful" if value > doubtful else "good"
 
 
-def _worse(a: State, b: State) -> State:
-    return max(a, b, key=get_args(State).index)
+def _worst(*states: State) -> State:
+    return max(states, key=get_args(State).index)

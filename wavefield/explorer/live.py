@@ -29,8 +29,6 @@ from wavefield.series.readers import FrameEntry, read_entry
 from wavefield.variables import AROUND
 
 log = logging.getLogger("wavefield.follow")
-_STEPS_BACK = 3  # number of steps tried, from the newest, until all frames can be read
-_STEPS = 2  # the wave and noise model is estimated from this many of the newest steps
 _PAUSE_PER_ESTIMATE = 10.0  # pause between two estimates of the model over the time that one takes
 POLL_S = 0.2  # between looks for new frames, and between looks of a page for new results
 Fields = dict[str, NDArray[Any]]
@@ -60,8 +58,7 @@ class FolderWatch:
         self._frames: dict[str, dict[int, FrameEntry]] = {}
 
     def poll(self) -> None:
-        """List the image folders and note the newest frame of each camera.
-        An error in a folder is kept in `trouble`, by camera."""
+        """List the image folders and note the newest frame of each camera, or why there is none."""
         self._polled = time.monotonic()
         for name, section in self.experiment.cameras.items():
             try:
@@ -78,23 +75,20 @@ class FolderWatch:
                 self._noticed[name] = self._polled
 
     def silent(self) -> dict[str, float]:
-        """Return, by camera, how long its newest frame had been known at the last `poll`, s.
-        For a camera without frames the time counts from the start of the watch."""
+        """Return, by camera, how long its newest frame, or none, had been known at the last `poll`, s."""
         return {name: self._polled - when for name, when in self._noticed.items()}
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
-        """Return the newest two successive frames that all recording cameras have, or None if there are none.
-        The number of the first of the two frames is above `after`. A camera far behind the others does not
-        count as recording."""
+        """Return the newest two successive frames of all recording cameras, with the first above `after`."""
         latest = max(self.written.values(), default=0.0)
-        longest = lights.LIMITS.delay[1]  # a camera further behind the others counts as stopped
+        longest = lights.LIMITS["delay"][1]  # a camera further behind the others counts as stopped
         sending = [name for name, when in self.written.items() if latest - when <= longest]
         if not sending:
             return None
         top = min(self.newest[name] for name in sending) - 1
-        for number in range(top, max(top - _STEPS_BACK, after), -1):
+        for number in (top, top - 1):  # a camera may still be writing its newest frame
             images = {name: both for name in sending if (both := self._read(name, number)) is not None}
-            if len(images) == len(sending):
+            if number > after and len(images) == len(sending):
                 written = max(_written(self._frames[name][number + 1]) for name in sending)
                 return FrameSet(number, images, written)
         return None
@@ -130,8 +124,8 @@ class LiveMeasurement:
         self.trouble = ""  # why nothing is measured
 
     def measure(self, frames: FrameSet) -> tuple[Fields, StepSummary | None]:
-        """Measure the step between two frames: return its fields (ny, nx) by name, and its summary.
-        Returns ({}, None) without a rig or after an error; `trouble` then holds the reason."""
+        """Return the fields (ny, nx) and the summary of the step between two frames.
+        They are {} and None without a rig or after an error; `trouble` then holds the reason."""
         firsts = {name: both[0] for name, both in frames.images.items()}
         sizes = {name: (image.shape[1], image.shape[0]) for name, image in firsts.items()}
         if self.learner is None or (self.trouble and sizes != self._sizes):
@@ -158,8 +152,7 @@ class LiveMeasurement:
         return fields, lights.summarize_step(fields, geometry.z_range)
 
     def pairs(self, frames: FrameSet) -> dict[str, PairSummary]:
-        """Return how well the cameras of each pair agree at the second frame, by pair such as "a-b".
-        The result is empty without a rig."""
+        """Return how well the cameras of each pair "a-b" agree at the second frame; empty without a rig."""
         if self.learner is None:
             return {}
         geometry = self.learner.geometry
@@ -184,8 +177,7 @@ class LiveMeasurement:
         return image if background is None else subtracted(image, background)
 
     def _prepare(self, images: Mapping[str, NDArray[Any]]) -> None:
-        """Load the rig, and compute the geometry and the masks for the images, given by camera.
-        If this fails, `trouble` holds the reason and nothing is measured."""
+        """Load the rig, and compute geometry and masks for images by camera, or set `trouble`."""
         from wavefield.execution.workflow import Workflow
         from wavefield.pipeline.prepare import make_settings
 
@@ -220,12 +212,13 @@ class Learner:
     def __init__(self, geometry: GridGeometry, frame_rate: float) -> None:
         self.geometry, self._frame_rate = geometry, frame_rate
         self.model: Model | None = None
-        self._steps: deque[tuple[tuple[Frames, Frames], tuple[Masks, Masks]]] = deque(maxlen=_STEPS)
+        self._steps: deque[tuple[tuple[Frames, Frames], tuple[Masks, Masks]]] = deque(
+            maxlen=2
+        )  # the newest ones
         self._next_s = 0.0
 
     def add(self, frames: tuple[Frames, Frames], masks: tuple[Masks, Masks]) -> None:
-        """Add the two frames of a step and their masks, by camera, and estimate the model again.
-        An estimate delays the measurement of the step, so it is skipped if the last one was recent."""
+        """Add the two frames of a step and their masks, by camera, and estimate the model again if due."""
         self._steps.append((frames, masks))
         begun = time.monotonic()
         if self.model is not None and begun < self._next_s:
@@ -256,8 +249,7 @@ class FollowedSet:
 
 
 class Follower:
-    """Finds, measures and rates the newest frames of an experiment in its own thread.
-    Pages read the result from `latest`."""
+    """Finds, measures and rates the newest frames in its own thread; pages read the result, `latest`."""
 
     def __init__(self, experiment: Experiment, rig: Rig | Path | None = None) -> None:
         self.experiment = experiment
