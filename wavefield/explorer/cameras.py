@@ -33,7 +33,7 @@ def mask_outlines(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
 
 
 class MaskPanel:
-    """Collects the corners of masks that the user clicks, and shows the lines to add to the experiment file.
+    """Collects the corners of masks that the user clicks, and shows the lines for the experiment file.
     `changed` is called after every change of the corners."""
 
     def __init__(self, changed: Callable[[], None]) -> None:
@@ -47,46 +47,31 @@ class MaskPanel:
         buttons = row(self.undo, self.clear, styles={"flex-wrap": "wrap"})
         self.layout = column(self.words, buttons, sizing_mode="stretch_width")
 
-    def show(self, place: Place) -> None:
-        """Do nothing: the page calls this method of all its panels, but masks do not depend on its state."""
-
     def add(self, image: str, corner: Corner) -> None:
         """Add a corner of the mask `image`: px in the image of that camera, or metres for `WATER`."""
         if np.isfinite(corner).all():
             self._keep([*self._corners, (image, corner)])
 
-    def polygon(self, image: str) -> list[Corner]:
-        """Return the clicked corners in the image of a camera (px) or, for `WATER`, on the water (metres)."""
-        return [corner for name, corner in self._corners if name == image]
-
     def closed_line(self, image: str) -> dict[str, list[float]]:
-        """Return the corners of a mask as columns "x" and "y", with the first corner repeated at the end.
-        `image` is as for `polygon`."""
-        corners = self.polygon(image)
+        """Return the corners of the mask `image` as columns "x" and "y", with the first one repeated."""
+        corners = [corner for name, corner in self._corners if name == image]
         line = [*corners, *corners[:1]]
         return {"x": [float(x) for x, _ in line], "y": [float(y) for _, y in line]}
 
     def _keep(self, corners: list[tuple[str, Corner]]) -> None:
         self._corners = corners
-        names = dict.fromkeys(name for name, _ in corners)
         self.undo.disabled = self.clear.disabled = not corners
-        complete = {name: self.polygon(name) for name in names if len(self.polygon(name)) >= 3}
+        polygons: dict[str, list[Corner]] = {}
+        for name, corner in corners:
+            polygons.setdefault(name, []).append(corner)
+        complete = {name: polygon for name, polygon in polygons.items() if len(polygon) >= 3}
         lines = f"Add to the experiment file:<pre>{plain(mask_lines(complete))}</pre>"
         self.words.text = lines if complete else _HOW
         self._changed()
 
 
 def mask_lines(polygons: dict[str, list[Corner]]) -> str:
-    """Return the entry `mask` of an experiment file as YAML.
-
-    `polygons` are the corners by camera (px), or by "water" (metres).
-
-    Examples
-    --------
-    >>> print(mask_lines({"water": [(0.1, 0.0), (0.3, 0.0), (0.2, 0.24996)]}))
-    mask:
-      "water": [{polygon: [[0.1, 0.0], [0.3, 0.0], [0.2, 0.25]]}]
-    """
+    """Return the entry `mask` of an experiment file from corners by camera (px), or of `WATER` (metres)."""
     lines = ["mask:"]
     for name, corners in polygons.items():
         digits = 4 if name == WATER else 1  # 0.1 mm, 0.1 px
@@ -109,9 +94,8 @@ made.y_range.setv({start: height + dy, end: -dy, reset_start: height + dy, reset
 
 
 def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
-    """Return a small 8-bit copy of an image (row, column), and the factor n by which it is smaller.
-    Each pixel of the copy is the mean of n x n pixels, so that the copy fits on a screen. Its grey levels are
-    stretched from the 0.5 % to the 99.5 % quantile of the brightness."""
+    """Return an 8-bit copy of an image (row, column) that fits on a screen, and the factor n of its size.
+    Each pixel is the mean of n x n pixels, stretched from the 0.5 % to the 99.5 % quantile of brightness."""
     factor = max(1, -(-max(image.shape) // MAX_SCREEN_PX))
     h, w = (n - n % factor for n in image.shape)
     small = np.asarray(image[:h, :w], np.float32)
@@ -122,26 +106,23 @@ def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
 
 
 def keep_pixels_square(made: figure) -> None:
-    """Let the browser adapt the axes of a figure so that the pixels of its image stay square.
-    It does so when the figure changes its size, and when `fit_image` sets the size of another image."""
+    """Let the browser adapt the axes of a figure to its size, so that the pixels of the image stay square."""
     square = CustomJS(args={"made": made}, code=_SQUARE)
     for changed in ("inner_width", "inner_height", "tags"):
         made.js_on_change(changed, square)
 
 
 def fit_image(made: figure, shape: tuple[int, ...]) -> None:
-    """Set the axes of a figure to the size of an image with `shape` (rows, columns).
-    A figure that already shows an image of this size keeps its axes, and so what the user has zoomed to."""
+    """Set the axes of a figure to the size of an image with `shape` (rows, columns)."""
     height, width = shape
-    if made.tags != [width, height]:
+    if made.tags != [width, height]:  # else the user may have zoomed
         made.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
         made.y_range.update(start=height, end=0, reset_start=height, reset_end=0)
         made.tags = [width, height]
 
 
 def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
-    """Show an image (row, column) on axes in px of the camera.
-    `source` receives a copy of the image, averaged over n x n pixels to fit on a screen. Returns n."""
+    """Show an image (row, column), averaged over n x n pixels, on axes in px of the camera; return n."""
     fit_image(made, image.shape)
     small, factor = shrink(image)
     h, w = small.shape
@@ -153,11 +134,9 @@ def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
 def visible_nodes(
     camera: Camera, x: NDArray[np.floating], y: NDArray[np.floating], fields: Fields, dt: float
 ) -> Fields:
-    """Return the n nodes whose water a camera sees in the first frame of a step.
-    `fields` are z, u, v, w and quality at the middle of the step, (ny, nx), at x, y (ny, nx), metres. `dt` is
-    the time step, s. Returns arrays (n,) by name: x and y of the nodes (metres), X and Y, the column and row
-    where their water was half a step earlier (px), and `kind`, the kind of quality as an index into
-    `KINDS`."""
+    """Return the n nodes at x, y (ny, nx), metres, whose water a camera sees in the first frame of a step.
+    `fields` are z, u, v, w and quality (ny, nx) at the middle of the step, which lasts `dt`, s. The result
+    holds x, y, the kind of quality, and X, Y (px), where the water was half a step earlier, each (n,)."""
     z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
     half = [np.where(np.isfinite(fields[n]), 0.5 * dt * fields[n], 0.0) for n in _MOTION]
     X, Y = camera.project(*(p - h for p, h in zip((x, y, z), half)))
@@ -169,10 +148,18 @@ def visible_nodes(
 
 
 class CameraPanel:
-    """The tab with the image of one camera and the nodes of the grid drawn on it."""
+    """The tab with the image of one camera and the nodes of the grid drawn on it.
+    A click picks the node nearest to it, x and y in metres, unless `took_corner` uses the camera, column and
+    row of the click for a mask. `changed` is called when the user chooses another camera or overlay."""
 
-    def __init__(self, session: LookSession, events: parts.PanelEvents) -> None:
-        self._session, self._picked, self._took_corner = session, events.picked, events.took_corner
+    def __init__(
+        self,
+        session: LookSession,
+        picked: Callable[[float, float], None],
+        took_corner: Callable[[str, float, float], bool],
+        changed: Callable[[], None],
+    ) -> None:
+        self._session, self._picked, self._took_corner = session, picked, took_corner
         run = session.run
         self._nodes: Fields = {}  # result of `visible_nodes` for the displayed frame
         cameras = [name for name in run.frames if run.rig is None or name in run.rig.cameras]
@@ -183,9 +170,9 @@ class CameraPanel:
             title="Overlay", value="nodes", options=["nodes", "nothing"], name="camera_over"
         )
         for widget in (self.camera, self.overlay):
-            widget.on_change("value", lambda attr, old, new: events.image_chosen())
+            widget.on_change("value", lambda attr, old, new: changed())
         absent = "" if cameras else run.reason("frames")
-        self.words = parts.text_line("camera_words", f"no images: {absent}" if absent else "")
+        self.words = text_line("camera_words", f"no images: {absent}" if absent else "")
         self.sources = parts.make_sources(
             "camera", image=parts.IMAGE, nodes="X Y kind", grid="xs ys", node="X Y",
             mask="x y", masks="xs ys",
@@ -227,29 +214,24 @@ class CameraPanel:
         series, index = self._session.run.frames[name], place.step
         frame = series.read(index)
         self.figure.title.text = f"{name}, frame {series.first + index}"
-        self._show_image(frame.image, frame.message)
+        if frame.image is None:
+            self.words.text = f"{frame.message}; other images can be shown."
+            fit_image(self.figure, series.shape)
+            parts.clear(self.sources["image"])
+        else:
+            factor = show_frame(self.figure, self.sources["image"], frame.image)
+            averaged = f"Each pixel is the mean of {factor} x {factor} pixels of the camera."
+            self.words.text = averaged if factor > 1 else ""
         covered = series.covered(index) if index < len(series) else None
         lines = [] if covered is None else mask_outlines(covered)
-        self.sources["masks"].data = {
-            "xs": [line[:, 0] for line in lines],
-            "ys": [line[:, 1] for line in lines],
-        }
+        xs, ys = ([line[:, k] for line in lines] for k in (0, 1))
+        self.sources["masks"].data = {"xs": xs, "ys": ys}
         rig = self._session.run.rig
         if rig is not None and name in rig.cameras:
             self._show_nodes(rig[name], place)
 
-    def _show_image(self, image: Image | None, message: str) -> None:
-        if image is None:
-            self.words.text = f"{message}; other images can be shown."
-            fit_image(self.figure, self._session.run.frames[parts.chosen(self.camera)].shape)
-            parts.clear(self.sources["image"])
-            return
-        factor = show_frame(self.figure, self.sources["image"], image)
-        averaged = f"Each pixel is the mean of {factor} x {factor} pixels of the camera."
-        self.words.text = averaged if factor > 1 else ""
-
     def _show_nodes(self, camera: Camera, place: Place) -> None:
-        record, overlay = self._session.record, parts.chosen(self.overlay)
+        record, drawing = self._session.record, parts.chosen(self.overlay) == "nodes"
         fields = {name: record.field(name, place.step) for name in ("z", *_MOTION, "quality")}
         x, y = np.meshgrid(record.x, record.y)
         every = max(1, round(max(x.shape) / MARKS_ACROSS))
@@ -258,16 +240,12 @@ class CameraPanel:
             camera, x[thin], y[thin], {name: field[thin] for name, field in fields.items()},
             1.0 / record.frame_rate,
         )  # fmt: skip
-        parts.clear(self.sources["nodes"])
         of_a_kind = self._nodes["kind"] < len(KINDS)
         drawn = {key: values[of_a_kind].astype(np.float32) for key, values in self._nodes.items()}
-        if overlay == "nodes":
-            self.sources["nodes"].data = {key: drawn[key] for key in ("X", "Y", "kind")}
+        self.sources["nodes"].data = {key: drawn[key] if drawing else [] for key in ("X", "Y", "kind")}
         z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
-        lines = []
-        if overlay != "nothing":  # the outline of the grid on the water
-            sides = ((0, all_), (-1, all_), (all_, 0), (all_, -1))
-            lines = [camera.project(x[side], y[side], z[side]) for side in sides]
+        sides = ((0, all_), (-1, all_), (all_, 0), (all_, -1))  # the outline of the grid on the water
+        lines = [camera.project(x[side], y[side], z[side]) for side in sides if drawing]
         self.sources["grid"].data = {"xs": [X for X, _ in lines], "ys": [Y for _, Y in lines]}
         parts.clear(self.sources["node"])
         if place.node is not None:

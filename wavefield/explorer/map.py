@@ -1,12 +1,14 @@
 """The map of one variable, with arrows of the horizontal velocity."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from bokeh.models import (
     BoxZoomTool,
+    ColumnDataSource,
     CustomJSHover,
     FixedTicker,
+    GlyphRenderer,
     HoverTool,
     Label,
     LinearColorMapper,
@@ -27,13 +29,10 @@ from wavefield.figures.display import KINDS, MARKS_ACROSS, display, drawn_kind, 
 
 Field = NDArray[np.floating]
 _WHERE = ("x, y", "$x{0.000}, $y{0.000} m")
-_HEAD = 0.32  # length of an arrow's head over that of the arrow
 
 
 def map_aspect(ratio: float) -> float:
-    """Return the width over the height of a map figure, with axes and colour bar.
-    `ratio` is the width over the height of the field. The result is between 0.8 and 3. The margins are those
-    of a figure 900 px wide."""
+    """Return the width over the height of a map with its margins, from that of the field, for 900 px."""
     return float(np.clip(ratio * 900 / (768 + 60 * ratio), 0.8, 3.0))
 
 
@@ -45,8 +44,8 @@ def top_speed(u: Field, v: Field) -> float:
 
 def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Field, Field, float]:
     """Return lines x, y (7 n,), metres, that draw n velocity arrows, and their scale, m per m/s.
-    u, v (ny, nx) are in m/s, at the nodes x (nx,) and y (ny,), metres. Each arrow has six points and a NaN
-    after them. An arrow of the speed `fastest`, m/s, is a little longer than the distance between arrows."""
+    u, v (ny, nx) are in m/s at x (nx,), y (ny,), metres. Each arrow has six points and a NaN after them. An
+    arrow of the speed `fastest`, m/s, is a little longer than the distance between arrows."""
     every = max(1, round(max(len(x), len(y)) / MARKS_ACROSS))
     thin = slice(every // 2, None, every)
     gap = every * float(np.mean(np.diff(x)))
@@ -56,11 +55,23 @@ def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Fiel
     drawn = np.hypot(dx, dy) > 0.04 * gap  # False where NaN
     px, py, dx, dy = (part[drawn] for part in (px, py, dx, dy))
     tip_x, tip_y, end = px + dx, py + dy, np.full_like(px, np.nan)
-    left_x, left_y = tip_x - _HEAD * (dx - 0.5 * dy), tip_y - _HEAD * (dy + 0.5 * dx)
-    right_x, right_y = tip_x - _HEAD * (dx + 0.5 * dy), tip_y - _HEAD * (dy - 0.5 * dx)
+    left_x, left_y = tip_x - dx / 3 + dy / 6, tip_y - dy / 3 - dx / 6  # the head is a third of the arrow
+    right_x, right_y = tip_x - dx / 3 - dy / 6, tip_y - dy / 3 + dx / 6
     xs = np.array([px, tip_x, left_x, tip_x, right_x, tip_x, end])
     ys = np.array([py, tip_y, left_y, tip_y, right_y, tip_y, end])
     return xs.T.ravel(), ys.T.ravel(), metres
+
+
+def draw_layers(
+    made: figure, sources: Mapping[str, ColumnDataSource], mapper: LinearColorMapper
+) -> GlyphRenderer:
+    """Draw image, arrows and probes of three sources on a map, and return the drawing of the image."""
+    made.grid.grid_line_color = None
+    image = made.image("image", source=sources["image"], color_mapper=mapper)
+    made.x_range.renderers = made.y_range.renderers = [image]
+    made.line("x", "y", source=sources["arrows"], color=parts.INK, line_width=1.1)
+    parts.draw_probes(made, sources["probes"])
+    return image
 
 
 class MapPanel:
@@ -94,13 +105,9 @@ class MapPanel:
             aspect_ratio=map_aspect(width / height),
         )  # fmt: skip
         made.x_range.range_padding = made.y_range.range_padding = 0.0
-        made.grid.grid_line_color = None
         made.background_fill_color = "#f6f8fa"
-        image = made.image("image", source=source["image"], color_mapper=self.mapper)
-        made.x_range.renderers = made.y_range.renderers = [image]
-        made.line("x", "y", source=source["arrows"], color=parts.INK, line_width=1.1)
+        image = draw_layers(made, source, self.mapper)
         parts.draw_masks(made, source["mask"], source["masks"])
-        parts.draw_probes(made, source["probes"])
         parts.draw_ring(made, source["node"], "x", "y", parts.INK, 13)
         made.add_layout(self.bar, "right")
         made.add_layout(self.arrow_key)
@@ -127,7 +134,7 @@ class MapPanel:
             low, high = self.limits(place)
             if self._name_values(place, "return Number(value.toPrecision(4))"):
                 self.bar.update(ticker=parts.colour_bar(self.mapper).ticker, major_label_overrides={})
-            colours = parts.palette(place.colour_map)
+            colours = parts.palette(shown.colour_map)
             if self.mapper.palette != colours:  # 256 colours take 10 ms to check
                 self.mapper.palette = colours
             self.mapper.update(low=low, high=high)
@@ -136,8 +143,7 @@ class MapPanel:
         self.mark(place.node)
 
     def _name_values(self, place: Place, code: str) -> bool:
-        """Set the tooltip of the map for the variable shown, and return whether the tooltip changed.
-        `code` is JavaScript that formats the value of the variable."""
+        """Set the tooltip of the map, whose value JavaScript `code` formats; return whether it changed."""
         shown = display(place.show)
         rows = [(shown.name, f"@image{{custom}} {shown.unit}"), _WHERE]
         changed = bool(self.hover.tooltips != rows)
@@ -147,10 +153,9 @@ class MapPanel:
         return changed
 
     def limits(self, place: Place) -> tuple[float, float]:
-        """Return the lower and upper end of the colour scale, in the displayed unit.
-        They are the values that the user entered. Without these they are fitted to the step at which the
-        variable was first shown; they are (-1, 1) until a step with values is shown."""
-        name = place.coloured
+        """Return the ends of the colour scale that the user entered, in the displayed unit.
+        Else they are fitted to the first step shown that has values, and (-1, 1) until then."""
+        name = place.show
         if name not in self._fitted:
             values = self._record.field(name, place.step)
             if not np.isfinite(values).any():
@@ -161,7 +166,7 @@ class MapPanel:
 
     def refit(self, place: Place) -> None:
         """Forget the fitted scales of colours and arrows; the step that is shown next sets them again."""
-        self._fitted.pop(place.coloured, None)
+        self._fitted.pop(place.show, None)
         self._fastest = 0.0
 
     def _show_arrows(self, place: Place) -> None:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating]
 MAX_PROBE_DISTANCE_M = 0.05  # a probe farther away measures other phases of short waves
 _MAIN = ("z", "u", "v", "w")
-_SERIES_PX = 84  # height of a series
 MIN_STEPS_OF_SPECTRUM = 32  # the shortest Welch window
 
 
@@ -33,9 +32,8 @@ class Spectrum(NamedTuple):
 
 
 def longest_run(values: Array) -> Array:
-    """Return the longest part of a series (n,) that has no gap of more than two steps.
-    Gaps of one or two steps are filled by linear interpolation, as in `wavefield analyze`. The result is
-    empty if the series has no values."""
+    """Return the longest part of a series (n,) without a gap of more than two steps.
+    Shorter gaps are filled by linear interpolation, as in `wavefield analyze`."""
     from wavefield.waves.record import LONGEST_BRIDGE  # takes a second to import
 
     finite = np.flatnonzero(np.isfinite(values))
@@ -47,11 +45,10 @@ def longest_run(values: Array) -> Array:
     return np.asarray(np.interp(steps, longest, values[longest]))
 
 
-def spectrum(values: Array, dt: float, segment_s: float | None = None) -> Spectrum | None:
+def spectrum(values: Array, dt: float) -> Spectrum | None:
     """Return the Welch spectrum of the `longest_run` of a series (n,), or None if it has under 32 steps.
-    `dt` is the time step, s. The segments overlap by half, under Hann windows, and last `segment_s`, s. By
-    default they have a power of two of steps, from 32 to 1024, so that a long run has at least eight of
-    them."""
+    `dt` is the time step, s. The segments, Hann windows that overlap by half, have a power of two of steps,
+    from 32 to 1024; a long run has at least eight of them."""
     from scipy import signal  # takes most of a second to import
 
     from wavefield.waves.welch import interval
@@ -60,9 +57,6 @@ def spectrum(values: Array, dt: float, segment_s: float | None = None) -> Spectr
     if run.size < MIN_STEPS_OF_SPECTRUM:
         return None
     segment = min(1024, 1 << int(np.log2(max(MIN_STEPS_OF_SPECTRUM, 2 * run.size / 9))))
-    if segment_s is not None:
-        segment = max(round(segment_s / dt), 2)
-    segment = min(segment, run.size)
     frequency, density = signal.welch(run, fs=1 / dt, nperseg=segment, detrend="constant")
     count = max(1, (run.size - segment // 2) // (segment - segment // 2))
     dof = 2.0 * count * 18.0 / 19.0 if count > 1 else 2.0  # Hann windows that overlap by half
@@ -70,25 +64,13 @@ def spectrum(values: Array, dt: float, segment_s: float | None = None) -> Spectr
     return Spectrum(frequency[1:], density[1:], float(low), float(high))
 
 
-class NearProbe(NamedTuple):
-    """A wave probe, and its distance from a node."""
-
-    probe: "xr.Dataset"  # elevation (time,), metres, of one probe
-    distance: float  # distance from the node, metres
-
-    @property
-    def words(self) -> str:
-        """Name and distance of the probe, such as "probe1, 3 cm away"."""
-        return f"{self.probe.probe.item()}, {100 * self.distance:.0f} cm away"
-
-
-def nearest_probe(probes: "xr.Dataset | None", x: float, y: float, reach: float) -> NearProbe | None:
+def nearest_probe(probes: "xr.Dataset | None", x: float, y: float, reach: float) -> "xr.Dataset | None":
     """Return the probe nearest to a point x, y; None if it is farther away than `reach` (all in metres)."""
     if probes is None:
         return None
     distance = np.nan_to_num(np.hypot(probes.probe_x.values - x, probes.probe_y.values - y), nan=np.inf)
     k = int(np.argmin(distance))
-    return NearProbe(probes.isel(probe=k), float(distance[k])) if distance[k] <= reach else None
+    return probes.isel(probe=k) if distance[k] <= reach else None
 
 
 class NodePanel:
@@ -105,8 +87,7 @@ class NodePanel:
         # buffer of 128 kB; otherwise it paints half of it first.
         series = {f"{name}_series": "t value low high" for name in self._main}
         more = {"quality": "left right kind", "probe_series": "t value"}
-        spectra = {"spectrum": "f e low high", "probe_spectrum": "f e"}
-        self.sources = parts.make_sources("node", **series, **more, **spectra)
+        self.sources = parts.make_sources("node", **series, **more, spectrum="f e low high")
         self.now = Span(dimension="height", location=0, line_color=parts.INK, line_dash="dotted")
         self.figures: dict[str, figure] = {}
         for name in self._main:
@@ -122,7 +103,7 @@ class NodePanel:
         time, source = self._record.time, self.sources[f"{name}_series"]
         x_range = next(iter(self.figures.values())).x_range if self.figures else (time[0], time[-1])
         made = parts.make_figure(
-            f"node_{name}_figure", height=_SERIES_PX, x_range=x_range,
+            f"node_{name}_figure", height=84, x_range=x_range,
             y_axis_label=display(name).label,
         )  # fmt: skip
         made.xaxis.visible = False
@@ -153,15 +134,8 @@ class NodePanel:
             "node_spectrum_figure", height=190, x_axis_type="log", y_axis_type="log",
             x_axis_label="frequency (Hz)", tools="pan,wheel_zoom,reset",
         )  # fmt: skip
-        parts.draw_band(made, self.sources["spectrum"], "f", "e", legend_label="this node")
-        made.line(
-            "f", "e", source=self.sources["probe_spectrum"], color=parts.VERMILION, line_width=1.6,
-            line_dash="dashed", legend_label="probe",
-        )  # fmt: skip
+        parts.draw_band(made, self.sources["spectrum"], "f", "e")
         parts.add_hover(made, renderers=made.renderers[1:2], mode="vline")
-        made.legend.update(
-            location="bottom_left", label_text_font_size="11px", background_fill_alpha=0.7, padding=4
-        )
         return made
 
     # -- showing ---------------------------------------------------------------------------------------
@@ -184,14 +158,15 @@ class NodePanel:
         values = {name: float(record.field(name, place.step)[j, i]) for name in record.stored}
         kind = quality_kind(np.array([int(values.get("quality", 0))]))[0]
         others = [n for n in record.stored if n not in (*_MAIN, "quality") and not n.endswith("_std")]
-        every, near = record.preview.thin.every, self._near()
+        every, near = record.preview.thin.every, self._near_probe()
+        away = near and 100 * np.hypot(near.probe_x - record.x[i], near.probe_y - record.y[j]).item()
         self.words.text = (
             f"<b>x {number(record.x[i], 4)} m, y {number(record.y[j], 4)} m, "
             f"t {record.time[place.step]:.3f} s:</b> "
             f"{', '.join(_reading(name, values) for name in (*self._main, *others))}; "
             f"{KINDS[kind][1] if kind < len(KINDS) else 'nothing measured'}."
-            + (f" Series: nearest node of the preview (every {_ordinal(every)})." if every > 1 else "")
-            + (f" Dashed: {parts.plain(near.words)}." if near is not None else "")
+            + (f" Series: nearest node of the preview, one of {every} along x and y." if every > 1 else "")
+            + (f" Dashed: {parts.plain(near.probe.item())}, {away:.0f} cm away." if near is not None else "")
         )
 
     def _index(self, y: Array, x: Array) -> tuple[int, int]:
@@ -199,16 +174,15 @@ class NodePanel:
         assert self._node is not None
         return nearest(y, self._node[1]), nearest(x, self._node[0])
 
-    def _near(self) -> NearProbe | None:
-        """Return the wave probe near the picked node of the cube (not of its thinned copy), or None."""
+    def _near_probe(self) -> "xr.Dataset | None":
+        """Return the wave probe near the picked node, or None."""
         record = self._record
         j, i = self._index(record.y, record.x)
         spacing = abs(float(record.x[-1] - record.x[0])) / max(record.x.size - 1, 1)
         return nearest_probe(self.probes, record.x[i], record.y[j], max(MAX_PROBE_DISTANCE_M, spacing))
 
     def _series(self, name: str, unit_of: str = "") -> Array:
-        """Return a variable, (time,), at the node of the thinned cube that is nearest to the picked node.
-        The values are in the unit in which the variable `unit_of` is displayed, by default `name` itself."""
+        """Return a variable near the picked node, (time,), in the displayed unit of `unit_of` or its own."""
         preview, factor = self._record.preview, display(unit_of or name).factor
         return preview.series(name, *self._index(preview.y, preview.x)) * np.float32(factor)
 
@@ -219,20 +193,19 @@ class NodePanel:
             std = np.full_like(values, np.nan)
             if f"{name}_std" in self._record.stored:
                 std = self._series(f"{name}_std", unit_of=name)
-            t, value, std = parts.envelope(time, values, std)
-            low, high = parts.band(value, std, thinned=t.size < time.size)
-            self.sources[f"{name}_series"].data = {"t": t, "value": value, "low": low, "high": high}
+            self.sources[f"{name}_series"].data = parts.envelope(time, values, std)
         self._show_probe()
 
     def _show_probe(self) -> None:
         """Draw the elevation of the near probe over that of the node; draw nothing if no probe is near."""
         data: dict[str, Array] = {"t": np.empty(0), "value": np.empty(0)}
-        found = self._near()
-        if found is not None:
+        near = self._near_probe()
+        if near is not None:
             time, half_step = self._record.time, 0.5 / self._record.frame_rate
-            near = found.probe.sel(time=slice(time[0] - half_step, time[-1] + half_step))
+            near = near.sel(time=slice(time[0] - half_step, time[-1] + half_step))
             values = near.elevation.values * display("z").factor
-            data = dict(zip(("t", "value"), parts.envelope(near.time.values, values)))
+            drawn = parts.envelope(near.time.values, values, np.zeros_like(values))
+            data = {name: drawn[name] for name in data}
         if data["t"].size or len(self.sources["probe_series"].data["t"]):
             self.sources["probe_series"].data = data
 
@@ -261,9 +234,8 @@ class NodePanel:
         found = spectrum(self._series(name), 1.0 / self._record.frame_rate)
         self.spectrum.yaxis.axis_label = f"E {unit}"
         self.spectrum.hover.tooltips = [("frequency", "@f{0.000} Hz"), (f"E of {name}", f"@e {unit}")]
-        parts.clear(self.sources["spectrum"], self.sources["probe_spectrum"])
-        self.spectrum.legend.visible = False
         if found is None:
+            parts.clear(self.sources["spectrum"])
             self.spectrum.title.text = (
                 f"No spectrum: it needs {MIN_STEPS_OF_SPECTRUM} steps in a row at this node."
             )
@@ -274,33 +246,12 @@ class NodePanel:
         }  # fmt: skip
         factors = f"{number(found.low, 2)} to {number(found.high, 2)}"
         self.spectrum.title.text = f"95 % interval: {factors} times the curve"
-        near = self._near()
-        if name == "z" and near is not None:
-            self._show_probe_spectrum(near, float(1 / found.frequency[0]))
-
-    def _show_probe_spectrum(self, near: NearProbe, segment_s: float) -> None:
-        """Draw the spectrum of the probe's elevation during the cube's time span.
-        The segments last `segment_s`, s."""
-        time, t = self._record.time, near.probe.time.values
-        within = (t >= time[0]) & (t <= time[-1])
-        values = near.probe.elevation.values[within] * display("z").factor
-        found = spectrum(values, float(np.mean(np.diff(t))), segment_s)
-        if found is not None:
-            keep = found.frequency <= self._record.frame_rate / 2
-            self.sources["probe_spectrum"].data = {"f": found.frequency[keep], "e": found.density[keep]}
-            self.spectrum.legend.visible = True
-            self.spectrum.legend.items[1].label = {"value": near.words}
 
 
 def _reading(name: str, values: dict[str, float]) -> str:
-    """Return a variable as text in its displayed unit, with its standard uncertainty if there is one.
-    `values` holds both, by `name` and `name_std`, in the units of the cube."""
+    """Return a variable, and its standard uncertainty if there is one, as text in the displayed unit."""
     shown, value, std = display(name), values[name], values.get(f"{name}_std", np.nan)
     if not np.isfinite(value):
         return f"{name} none"
     more = f" ± {number(std * shown.factor, 2)}" if np.isfinite(std) else ""
     return f"{name} {number(value * shown.factor)}{more} {shown.unit}".rstrip()
-
-
-def _ordinal(count: int) -> str:
-    return {2: "second", 3: "third"}.get(count, f"{count}th")

@@ -19,7 +19,7 @@ from wavefield.errors import WavefieldError
 from wavefield.explorer import parts
 from wavefield.explorer.map import MapPanel
 from wavefield.explorer.node import NodePanel
-from wavefield.explorer.parts import OVERLAYS, TABS, LazyPanel, Panel, PanelEvents, Place
+from wavefield.explorer.parts import OVERLAYS, TABS, LazyPanel, Place
 from wavefield.explorer.record import LookSession
 from wavefield.figures.display import display
 from wavefield.store.verdict import WORDS, read_verdict
@@ -65,21 +65,19 @@ _WRAP = {"flex-wrap": "wrap"}
 
 
 class LookPage:
-    """The page of a cube in one browser tab. It opens in the state `place`."""
+    """The page of a cube in one browser tab, which opens in the state `place`."""
 
     def __init__(self, session: LookSession, place: Place) -> None:
         self.session, self.place = session, place
         record = session.record
-        events = PanelEvents(
-            self.pick, self._take_corner, self._masks_changed, lambda: self._soon(self._show_view)
-        )
         self.map, self.node = MapPanel(record, self._clicked), NodePanel(record)
-        self.cameras = LazyPanel(lambda: _cameras(session, events))
-        self.waves = LazyPanel(lambda: _waves(session))
-        self.masks = LazyPanel(lambda: _masks(events))
-        views: dict[str, LazyPanel[Any]] = {"cameras": self.cameras, "waves": self.waves}
-        self._views = views
-        bodies = [self.map.layout, *(panel.body for panel in views.values())]
+        # OpenCV and others take a second to import, so these panels wait until their tab is opened
+        chosen = self.pick, self._take_corner, lambda: self._soon(self._show_view)
+        self.cameras = LazyPanel("cameras", "CameraPanel", session, *chosen)
+        self.waves = LazyPanel("waves", "WavePanel", session)
+        self.masks = LazyPanel("cameras", "MaskPanel", self._masks_changed)
+        self._views = {"cameras": self.cameras, "waves": self.waves}
+        bodies = [self.map.layout, *(panel.body for panel in self._views.values())]
         titles = [tab.capitalize() for tab in TABS]
         self.views = parts.make_tabs("views", TABS.index(place.tab), titles, bodies)
         bodies = [self.node.layout, self.masks.body]
@@ -158,7 +156,9 @@ class LookPage:
             document.add_root(root)
         names = [str(root.name) for root in roots]
         aspect = float(self.map.layout.aspect_ratio)
-        parts.apply_template(document, self.session.record.experiment, "look", names, aspect=aspect)
+        parts.apply_template(
+            document, str(self.session.record.group.attrs["experiment"]), "look", names, aspect=aspect
+        )
         document.add_periodic_callback(self.recheck, _RECHECK_MS)
         self._show_head()
         self.redraw()
@@ -216,8 +216,7 @@ class LookPage:
             self._soon(self._show_view if list(changed) == ["tab"] else self.redraw)
 
     def entered(self, name: str) -> str | int:
-        """Return what the user entered in the list or slider `name`.
-        An invalid value, which a browser could send, is replaced by a valid one."""
+        """Return what the user entered in a list or slider; an invalid value is replaced by a valid one."""
         widget = self.controls[name]
         if isinstance(widget, Select):
             return parts.chosen(widget)
@@ -230,8 +229,7 @@ class LookPage:
         self.change(**changed)
 
     def _clicked(self, x: float, y: float) -> None:
-        """Handle a click on the map at x, y, metres.
-        The point becomes a corner of a mask if the user is drawing masks; else the node there is picked."""
+        """Make a click on the map at x, y, metres, a corner of a mask, or pick the node there."""
         from wavefield.series.masks import WATER
 
         if not self._take_corner(WATER, x, y):
@@ -251,8 +249,7 @@ class LookPage:
             self.picked.active = PICKED.index("mask")
 
     def _take_corner(self, image: str, x: float, y: float) -> bool:
-        """Add a click at x, y to the mask if the user is drawing masks; return whether it was added.
-        `image` is the camera (x, y in px) or `WATER` (metres)."""
+        """If the user is drawing masks, add the corner x, y, px of a camera or m of `WATER`; return if so."""
         if self.entered("drag") != "mask":
             return False
         self._open_masks()
@@ -336,9 +333,10 @@ class LookPage:
 
     def _show_picked(self) -> None:
         """Draw the open one of the tabs `PICKED`, on the picked node and on masks."""
-        kind = PICKED[int(self.picked.active)]
-        panel: Panel = self.node if kind == "node" else self.masks()
-        panel.show(self.place)
+        if PICKED[int(self.picked.active)] == "node":
+            self.node.show(self.place)
+        else:
+            self.masks()
         self.link.text = self.place.query()
 
     def _show_masks(self) -> None:
@@ -346,7 +344,7 @@ class LookPage:
         from wavefield.series.masks import WATER, footprints
 
         if self.masks.made:
-            self.map.sources["mask"].data = self.masks().closed_line(WATER)
+            self.map.sources["mask"].data = self.masks.made.closed_line(WATER)
             self._show_corners()
         experiment = self.session.run.experiment
         lines = footprints(experiment.mask) if experiment is not None else ()
@@ -354,9 +352,9 @@ class LookPage:
         self.map.sources["masks"].data = {"xs": xs, "ys": ys}
 
     def _show_corners(self) -> None:
-        if self.cameras.made and self.masks.made:
-            cameras = self.cameras()
-            cameras.sources["mask"].data = self.masks().closed_line(parts.chosen(cameras.camera))
+        cameras, masks = self.cameras.made, self.masks.made
+        if cameras and masks:
+            cameras.sources["mask"].data = masks.closed_line(parts.chosen(cameras.camera))
 
     # -- the head --------------------------------------------------------------------------------------
 
@@ -408,24 +406,3 @@ class LookPage:
         if self.place.tab == "waves":
             self.waves().show(self.place)
         self._show_head()
-
-
-# Panels of tabs that are opened later. They are imported then, because OpenCV and others take a second.
-
-
-def _cameras(session: LookSession, events: PanelEvents) -> Any:
-    from wavefield.explorer.cameras import CameraPanel
-
-    return CameraPanel(session, events)
-
-
-def _waves(session: LookSession) -> Any:
-    from wavefield.explorer.waves import WavePanel
-
-    return WavePanel(session)
-
-
-def _masks(events: PanelEvents) -> Any:
-    from wavefield.explorer.cameras import MaskPanel
-
-    return MaskPanel(events.masks_changed)

@@ -1,11 +1,13 @@
 """Parts that the panels share: the state of a page, figures in one style, data sources, long series."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from contextlib import suppress
+from dataclasses import dataclass, fields
 from functools import cache
 from html import escape
+from importlib import import_module
 from importlib.resources import files
-from typing import Generic, Protocol, TypeVar
+from typing import Any
 from urllib.parse import urlencode
 
 import numpy as np
@@ -29,21 +31,18 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 from jinja2 import Environment
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from wavefield.figures.display import KINDS, POSITIVE, SIGNED, display
+from wavefield.figures.display import KINDS, POSITIVE, SIGNED
 from wavefield.variables import TABLE
 
 TABS = ("map", "cameras", "waves")
 OVERLAYS = ("arrows", "nothing")  # drawn on the map
-_CHOICES = {"tab": TABS, "overlay": OVERLAYS}
-Value = str | int | tuple[float, ...] | None
 
 
 @dataclass(frozen=True)
 class Place:
-    """The state of a page. The link of the page stores it, such as show=z&step=12&node=0.1,-0.2."""
+    """The state of a page, which its link stores, such as show=z&step=12&node=0.1,-0.2."""
 
     show: str = "w"  # variable of the map
     step: int = 0  # index of the step, from 0
@@ -52,19 +51,8 @@ class Place:
     overlay: str = "arrows"  # one of OVERLAYS
     node: tuple[float, float] | None = None  # x and y of the clicked node, metres
 
-    @property
-    def coloured(self) -> str:
-        """Variable of the colour scale; "w" while the map shows the quality, which has no scale."""
-        return "w" if self.show == "quality" else self.show
-
-    @property
-    def colour_map(self) -> str:
-        """The matplotlib colour map of the displayed variable."""
-        return display(self.coloured).colour_map
-
     def query(self) -> str:
-        """Return the query of a link to this state.
-        Fields with their default value are left out, except the variable and the step."""
+        """Return the query of a link to this state; usual values are left out, except variable and step."""
         pairs = {}
         for field in fields(self):
             value = getattr(self, field.name)
@@ -75,35 +63,18 @@ class Place:
         return urlencode(pairs, safe=",")
 
     @classmethod
-    def read(
-        cls, query: Mapping[str, str], names: Sequence[str] = (), steps: int = 0, first: int = 0
-    ) -> "Place":
+    def read(cls, query: Mapping[str, str], names: Sequence[str], steps: int, first: int = 0) -> "Place":
         """Return the state that the query of a link describes; values that are not valid are ignored.
-        `query` maps names of fields to text. `names` are the variables of the cube, `steps` is its number of
-        steps, and `first` is the step of the state if the query has none."""
-        out = cls(step=first, show="w" if "w" in names or not names else names[0])
-        choices = _CHOICES | {"show": tuple(names)}
-        for name, text in query.items():
-            value = _parse(name, text, choices)
-            if value is not None:
-                out = replace(out, **{name: value})  # type: ignore[arg-type]  # _parse gives each its type
-        return replace(out, step=min(max(out.step, 0), steps - 1)) if steps else out
-
-
-def _parse(name: str, text: str, choices: Mapping[str, Sequence[str]]) -> Value:
-    """Return the value of one field of a query; None if the text is not valid.
-    `choices` lists the valid values by field; an empty list allows any text."""
-    try:
-        if name == "step":
-            return int(text)
-        if name in ("limits", "node"):
-            a, b = (float(part) for part in text.split(","))
-            valid = abs(a) < 1e6 and abs(b) < 1e6 and (name == "node" or a < b)
-            return (a, b) if valid else None
-    except ValueError:
-        return None
-    allowed = choices.get(name, ("",))  # an unknown name has no valid value
-    return text if text and (text in allowed or not allowed) else None
+        `names` are the variables of the cube, `steps` is its number of steps, and `first` the usual step."""
+        choices = {"show": names, "tab": TABS, "overlay": OVERLAYS}
+        found: dict[str, Any] = {name: text for name, text in query.items() if text in choices.get(name, ())}
+        for name in query.keys() & {"limits", "node"}:
+            with suppress(ValueError):
+                a, b = (float(part) for part in query[name].split(","))
+                if abs(a) < 1e6 and abs(b) < 1e6 and (name == "node" or a < b):
+                    found[name] = a, b
+        step = int(query["step"]) if query.get("step", "").isdecimal() else first
+        return cls(**{"show": "w" if "w" in names else names[0]} | found | {"step": min(step, steps - 1)})
 
 
 INK, GREY, BLUE, VERMILION, GREEN = "#1b1f24", "#d9d9d9", "#0072B2", "#D55E00", "#009E73"
@@ -128,60 +99,31 @@ _DEFAULTS: dict[str, object] = {
 Series = NDArray[np.floating]
 
 
-class Panel(Protocol):
-    """The content of a tab."""
+class LazyPanel:
+    """A panel that is imported and made when its tab is first opened; until then the tab shows "Loading".
+    `module` and `kind` name its module and class, which is called with `arguments`."""
 
-    layout: UIElement  # figures and widgets of the panel
-
-    def show(self, place: Place) -> None:
-        """Update the figures of the panel to the state of the page."""
-        ...
-
-
-P = TypeVar("P", bound=Panel)
-
-
-@dataclass(frozen=True)
-class PanelEvents:
-    """Functions of the page that its panels call when the user does something."""
-
-    picked: Callable[[float, float], None]  # with x and y, metres, when the user picks a point
-    # with a click's camera, column and row, px; returns whether the click became a corner of a mask
-    took_corner: Callable[[str, float, float], bool]
-    masks_changed: Callable[[], None]  # when corners of a mask were added or removed
-    image_chosen: Callable[[], None]  # when the user chose another camera or overlay
-
-
-class LazyPanel(Generic[P]):
-    """A panel that `make` builds when its tab is first opened; until then the tab shows "Loading"."""
-
-    def __init__(self, make: Callable[[], P]) -> None:
+    def __init__(self, module: str, kind: str, *arguments: object) -> None:
         loading = text_line("", _LOADING, html=True)
         loading.stylesheets = [_SPINNER]  # the style sheet of the page does not apply inside Bokeh's widgets
         self.body = column(loading, sizing_mode="stretch_width")
-        self._make = make
-        self._made: P | None = None
+        self._module, self._kind, self._arguments = module, kind, arguments
+        self.made: Any = None  # the panel, when its tab has been opened
 
-    @property
-    def made(self) -> bool:
-        """Whether the panel has been made, because its tab was opened."""
-        return self._made is not None
-
-    def __call__(self) -> P:
+    def __call__(self) -> Any:
         """Return the panel; at the first call it is made and put into the tab."""
-        if self._made is None:
-            self._made = self._make()
-            self.body.children = [self._made.layout]
-        return self._made
+        if self.made is None:
+            module = import_module(f"wavefield.explorer.{self._module}")
+            self.made = getattr(module, self._kind)(*self._arguments)
+            self.body.children = [self.made.layout]
+        return self.made
 
 
 def make_figure(name: str, **settings: object) -> figure:
-    """Return a Bokeh figure in the style of the pages: full width, light grid, no toolbar.
-    `settings` are those of `bokeh.plotting.figure`, and replace the style."""
+    """Return a Bokeh figure in the style of the pages; `settings` of `bokeh.plotting.figure` replace it."""
     settings = _DEFAULTS | settings
     if isinstance(settings["tools"], str):
-        wheels = [tool for tool in settings["tools"].split(",") if tool.endswith("wheel_zoom")]
-        settings["active_scroll"] = wheels[0] if wheels else None
+        settings["active_scroll"] = "xwheel_zoom" if "xwheel_zoom" in settings["tools"] else "wheel_zoom"
     made = figure(name=name, **settings)
     made.grid.grid_line_color = "#e4e7ea"
     made.outline_line_color = "#8b949e"
@@ -198,8 +140,8 @@ def make_figure(name: str, **settings: object) -> figure:
 
 
 def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UIElement]) -> Tabs:
-    """Return tabs with titles and bodies; `active` is the index of the open one.
-    A body never widens the page, and a hidden one is not laid out."""
+    """Return tabs, the one with the index `active` open, that never widen the page.
+    Bodies of closed tabs are not laid out."""
     tabs = [TabPanel(child=body, title=title) for title, body in zip(titles, bodies)]
     narrow = {"grid-template-columns": "minmax(0, 1fr)", "min-width": "0"}
     made = Tabs(tabs=tabs, active=active, name=name, sizing_mode="stretch_width", styles=narrow)
@@ -211,16 +153,8 @@ def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UI
 
 
 def make_sources(prefix: str, **columns: str) -> dict[str, ColumnDataSource]:
-    """Return one empty Bokeh data source for each keyword argument, by keyword.
-
-    The value of an argument lists the columns of the source, separated by spaces. The name of the source is
-    the prefix, an underscore and the keyword.
-
-    Examples
-    --------
-    >>> make_sources("map", node="x y")["node"].name
-    'map_node'
-    """
+    """Return an empty Bokeh data source for each argument such as node="x y", by keyword.
+    The value of the argument lists the columns. The name of the source is such as "map_node"."""
     return {
         key: ColumnDataSource({name: [] for name in names.split()}, name=f"{prefix}_{key}")
         for key, names in columns.items()
@@ -234,20 +168,15 @@ def clear(*sources: ColumnDataSource) -> None:
 
 
 def on_click(made: figure, handle: Callable[[Tap], None]) -> None:
-    """Call `handle` at every click on a figure.
-    Bokeh reports a second click within 0.3 s as another event, which is handled as well."""
-    for event in (Tap, DoubleTap):
+    """Call `handle` at every click on a figure."""
+    for event in (Tap, DoubleTap):  # a second click within 0.3 s is another event
         made.on_event(event, handle)
 
 
-def add_hover(
-    made: figure, *rows: tuple[str, str], renderers: Sequence[object] = (), mode: str = "mouse"
-) -> None:
-    """Add a tooltip for the point under the pointer to a figure; each row is a name and a format of Bokeh.
-    `renderers` are the drawings with a tooltip, by default all. `mode` is an argument of Bokeh's
-    HoverTool."""
-    drawn = list(renderers) or "auto"
-    made.add_tools(HoverTool(tooltips=list(rows), mode=mode, renderers=drawn, line_policy="nearest"))
+def add_hover(made: figure, *rows: tuple[str, str], renderers: Sequence[object], mode: str = "mouse") -> None:
+    """Add a tooltip to these drawings of a figure; each row is a name and a format of Bokeh."""
+    tooltips, drawn = list(rows), list(renderers)
+    made.add_tools(HoverTool(tooltips=tooltips, mode=mode, renderers=drawn, line_policy="nearest"))
 
 
 @cache
@@ -261,18 +190,15 @@ def apply_template(
     heading: str,
     command: str,
     places: Sequence[str],
-    keys: bool = True,
     aspect: float = 1.3,
 ) -> None:
-    """Set the HTML template of a Bokeh document.
-    `heading` and `command`, the name of the wavefield command, make the title. `places` are the names of the
-    root elements, in order. With `keys` the page lists the keyboard keys. `aspect`, the width over the height
-    of the map, limits the width of the tabs so that the map fits into the height of the window."""
+    """Set the HTML template of a Bokeh document, whose root elements are named `places`.
+    `aspect` is the width over the height of the map, which then fits into the height of the window."""
     document.title = f"{heading} – wavefield {command}"
     document.template = Environment(autoescape=True).from_string(asset("page.html"))
     document.template_variables.update(
         heading=heading, command=command, places=list(places), css=asset("page.css"), script=asset("page.js"),
-        keys=_KEYS if keys else (), aspect=f"{aspect:.4f}",
+        keys=_KEYS if command == "look" else (), aspect=f"{aspect:.4f}",
     )  # fmt: skip
     document.js_on_event(ConnectionLost, CustomJS(code='document.getElementById("lost").hidden = false'))
 
@@ -282,9 +208,8 @@ def apply_template(
 
 def text_line(name: str, text: str = "", html: bool = False) -> Div:
     """Return a paragraph of full width; with `html`, `text` is HTML that the caller has escaped."""
-    return Div(
-        text=text, name=name, sizing_mode="stretch_width", render_as_text=not html, disable_math=True
-    )  # fmt: skip
+    raw = {"render_as_text": not html, "disable_math": True}
+    return Div(text=text, name=name, sizing_mode="stretch_width", **raw)
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -309,7 +234,7 @@ def chosen(choice: Select) -> str:
 
 
 def named(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Return a pair for each variable: its name, and the name with its meaning, as options of a list."""
+    """Return options of a list of variables: the name, and the name with its meaning."""
     return [(name, f"{name}: {TABLE[name].long_name}") for name in names]
 
 
@@ -317,8 +242,7 @@ def named(names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def draw_band(made: figure, source: ColumnDataSource, x: str, y: str, **line: object) -> None:
-    """Draw a line through the columns x and y of a source, and the band between its columns `low` and `high`.
-    `line` are settings of the line, as in Bokeh."""
+    """Draw a line through columns x, y of a source, and the band between its columns "low" and "high"."""
     made.varea(x, "low", "high", source=source, fill_color=BLUE, fill_alpha=0.22)
     made.line(x, y, source=source, **({"line_color": BLUE, "line_width": 1.6} | line))
 
@@ -331,8 +255,7 @@ def draw_ring(made: figure, source: ColumnDataSource, x: str, y: str, colour: st
 
 def probe_columns(names: Sequence[str], x: Series, y: Series, middle: float) -> dict[str, list[object]]:
     """Return the columns of a source for `draw_probes`, for probes at x, y (n,), metres.
-    A name stands on the right of its probe. If x is above `middle`, metres, it stands on the left, so that it
-    does not leave the map."""
+    Names point towards `middle`, the x of the middle of the map, so that they do not leave it."""
     right = [float(at) > middle for at in x]
     return {
         "x": list(x),
@@ -371,7 +294,7 @@ def palette(colour_map: str) -> list[str]:
 
 
 def quality_mapper() -> LinearColorMapper:
-    """Return the Bokeh colour mapper for the kind of quality of a node, which is an index into `KINDS`."""
+    """Return the Bokeh colour mapper of the kind of quality, which is an index into `KINDS`."""
     return LinearColorMapper(palette=[colour for _, _, colour in KINDS], low=-0.5, high=len(KINDS) - 0.5)
 
 
@@ -389,8 +312,7 @@ def colour_bar(mapper: LinearColorMapper) -> ColorBar:
 
 
 def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
-    """Return the columns of a data source that draws values (ny, nx) as one image.
-    Each pixel is centred on its node, at x (nx,) and y (ny,), metres."""
+    """Return the columns of a source that draws values (ny, nx) as an image, centred on x (nx,), y (ny,)."""
     dx, dy = (float(v[-1] - v[0]) / max(len(v) - 1, 1) or 1.0 for v in (x, y))
     return {
         "image": [np.ascontiguousarray(values, np.float32)],
@@ -404,32 +326,21 @@ def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
 # -- long series ---------------------------------------------------------------------------------------
 
 
-def envelope(x: Series, *series: Series) -> tuple[Series, ...]:
-    """Return x and the series (n,), thinned to the same m samples so that crests and troughs stay visible.
-    In each bin of successive samples, the two are kept at which the first series is lowest and highest.
-    Series of at most `MOST_POINTS` samples are returned unchanged."""
-    if x.size <= MOST_POINTS:
-        return (x, *series)
-    width = -(-2 * x.size // MOST_POINTS)
-    binned = x.size - x.size % width
-    bins = series[0][:binned].reshape(-1, width)
-    finite = np.isfinite(bins)
-    start = np.arange(bins.shape[0]) * width
-    lowest = start + np.where(finite, bins, np.inf).argmin(axis=1)
-    highest = start + np.where(finite, bins, -np.inf).argmax(axis=1)  # an empty bin keeps its first sample
-    keep = np.unique(np.concatenate([lowest, highest, np.arange(binned, x.size)]))
-    return tuple(part[keep] for part in (x, *series))
-
-
-def band(value: Series, std: Series, thinned: bool) -> tuple[Series, Series]:
-    """Return the edges value - std and value + std, each (n,), of a band; NaN in gaps.
-    `thinned` tells that `envelope` has thinned the series, which then alternates between crests and troughs.
-    The band is widened in that case to enclose the two neighbours of each point, because an alternating band
-    would hide the line."""
+def envelope(t: Series, value: Series, std: Series) -> dict[str, Series]:
+    """Return the columns t, value, low and high of a series (n,) and its band value -+ std, to be drawn.
+    Long series are thinned: of each bin of successive samples, those with the lowest and highest value stay,
+    so that crests and troughs stay visible. The band encloses that of all samples of the bin."""
     low, high = value - std, value + std
-    if not thinned:
-        return low, high
-    gap = np.isnan(low)
-    low = np.fmin.reduce(sliding_window_view(np.pad(low, 1, "edge"), 3), axis=1)
-    high = np.fmax.reduce(sliding_window_view(np.pad(high, 1, "edge"), 3), axis=1)
-    return np.where(gap, np.nan, low), np.where(gap, np.nan, high)
+    if t.size > MOST_POINTS:
+        width = -(-2 * t.size // MOST_POINTS)
+        start = np.arange(0, t.size, width)
+        padded = np.pad(value, (0, -t.size % width), constant_values=np.nan).reshape(-1, width)
+        finite = np.isfinite(padded)
+        lowest = start + np.where(finite, padded, np.inf).argmin(axis=1)
+        highest = start + np.where(finite, padded, -np.inf).argmax(
+            axis=1
+        )  # of an empty bin, its first sample
+        keep = np.unique(np.concatenate([lowest, highest]))
+        t, value = t[keep], value[keep]
+        low, high = (f.reduceat(edge, start)[keep // width] for f, edge in ((np.fmin, low), (np.fmax, high)))
+    return {"t": t, "value": value, "low": low, "high": high}

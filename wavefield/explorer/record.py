@@ -5,7 +5,6 @@ The thinned copy, the preview, is int16 (variable, y, x, time): value = scale * 
 
 import threading
 from collections import OrderedDict
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,22 +27,13 @@ _CACHED_FIELDS = 160  # steps of single variables in memory
 _STEPS_PER_READ = 8  # steps of a field read at once, which makes playback smooth
 
 
-def decode(stored: NDArray[np.int16], scale: float) -> NDArray[np.float32]:
-    """Return the values of 16-bit integers: `stored` times `scale`, or NaN where `stored` is `MISSING`."""
-    values = stored.astype(np.float32) * np.float32(scale)
-    values[stored == MISSING] = np.nan
-    return values
-
-
 def nearest(positions: NDArray[np.floating], requested: float) -> int:
     """Return the index of the position (n,) nearest to the requested one."""
     return int(np.argmin(np.abs(positions - requested)))
 
 
 class CubeRecord:
-    """A cube, finished or not, from which a page reads single steps.
-    Series come from a thinned copy of the cube, `preview`. Raises StoreError if there is no cube at
-    `path`."""
+    """A cube, finished or not: pages show its single steps, and series from a thinned copy, `preview`."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path).absolute()
@@ -68,11 +58,6 @@ class CubeRecord:
         """Frame rate of the cameras, Hz."""
         return float(self.group.attrs["frame_rate"])
 
-    @property
-    def experiment(self) -> str:
-        """Name of the experiment."""
-        return str(self.group.attrs["experiment"])
-
     def refresh(self) -> bool:
         """Read `frame_status` again, forget the fields of steps whose status changed; tell if any did."""
         ledger = read_array(self.group, self.path, "frame_status")
@@ -95,7 +80,11 @@ class CubeRecord:
     def field(self, name: str, step: int) -> NDArray[np.float32]:
         """Return a stored or derived variable at one step, (ny, nx), in the units of the cube."""
         if name in DERIVED:
-            return self._derived(name, step)
+            from wavefield.waves.motion import terms
+
+            fields = {stored: self.field(stored, step) for stored in BALANCE}
+            dy, dx = (float(np.mean(np.diff(axis))) for axis in (self.y, self.x))
+            return terms(fields, dy, dx)[name]
         with self._lock:
             if (name, step) not in self._cache:
                 start = step - step % _STEPS_PER_READ
@@ -107,14 +96,6 @@ class CubeRecord:
             while len(self._cache) > _CACHED_FIELDS:
                 self._cache.popitem(last=False)
         return out
-
-    def _derived(self, name: str, step: int) -> NDArray[np.float32]:
-        """Return a variable of `DERIVED` at one step, (ny, nx), computed from stored ones."""
-        from wavefield.waves.motion import terms
-
-        fields = {stored: self.field(stored, step) for stored in BALANCE}
-        dy, dx = (float(np.mean(np.diff(axis))) for axis in (self.y, self.x))
-        return terms(fields, dy, dx)[name]
 
 
 class Preview:
@@ -167,7 +148,8 @@ class Preview:
 
     def series(self, name: str, j: int, i: int) -> NDArray[np.float32]:
         """Return a variable at row j and column i of the thinned nodes, (time,), in the units of the cube."""
-        return decode(self.stored(name)[j, i], self.thin.scales[self.thin.names.index(name)])
+        stored, scale = self.stored(name)[j, i], self.thin.scales[self.thin.names.index(name)]
+        return np.where(stored == MISSING, np.float32(np.nan), stored * np.float32(scale))
 
 
 class LookSession:
@@ -189,10 +171,6 @@ class LookSession:
         status = {"frame_status": ("time", record.ledger)}  # `Run` checks the waves against it
         axes = xr.Dataset(status, coords, dict(record.group.attrs))
         return Run(axes, record.path, self.waves_path)
-
-    def reopen(self) -> None:
-        """Forget the opened `run`, so that its files are read again at the next use."""
-        self.run = replace(self.run)
 
     def load(self) -> threading.Thread:
         """Start to read the thinned copy of the cube in a thread; return the thread."""

@@ -34,15 +34,8 @@ DEFAULT_PORTS = range(5006, 5026)
 _HOSTS = ("localhost", "127.0.0.1")
 
 
-def requested_place(session: LookSession, query: dict[str, str]) -> Place:
-    """Return the page state that the query of a link describes, limited to what the cube has."""
-    record = session.record
-    return Place.read(query, record.names, record.layout.steps, record.first_step())
-
-
 def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
-    """Return x and y, metres, of the node nearest to the middle of the grid that has a value at this step.
-    If no node has a value, it is the node nearest to the middle."""
+    """Return x, y, metres, of the node nearest to the middle of the grid, with a value if any has one."""
     x, y = np.meshgrid(record.x - record.x.mean(), record.y - record.y.mean())
     distance = np.hypot(x, y)
     with suppress(StoreError):  # the map reports a damaged step
@@ -64,11 +57,10 @@ class Refused(RequestHandler):
 
 
 class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has no types
-    """Bokeh application. All its addresses begin with a secret token, such as ``/TOKEN/ws``.
+    """Bokeh application, all of whose addresses begin with a secret token, such as ``/TOKEN/ws``."""
 
-    A cookie would not do: browsers send it to the servers of other users of this machine as well, and do not
-    send it when a notebook of another site shows the page in a frame.
-    """
+    # A cookie would not do: browsers send it to the servers of other users of this machine as well, and do
+    # not send it when a notebook of another site shows the page in a frame.
 
     def __init__(self, make_page: Callable[[Document], None]) -> None:
         self.token = secrets.token_urlsafe(32)
@@ -89,11 +81,10 @@ class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has 
         return found
 
     def _allows(self, request: HTTPServerRequest) -> bool:
-        """Return whether a request has the token, is sent to this machine, and comes from its own pages.
-        Any port is accepted, because an SSH tunnel may use another port."""
+        """Return whether a request has the token, is sent to this machine, and comes from its own pages."""
         given = request.path.split("/")[1] if request.path.startswith("/") else ""
         host = request.headers.get("Host", "")
-        own = re.fullmatch(rf"({'|'.join(map(re.escape, _HOSTS))})(:\d{{1,5}})?", host) is not None
+        own = re.sub(r":\d{1,5}$", "", host) in _HOSTS  # any port, because an SSH tunnel may use another
         origin = request.headers.get("Origin")
         same = origin is None or origin == f"http://{host}"
         return hmac.compare_digest(given.encode(), self.token.encode()) and own and same
@@ -111,9 +102,8 @@ class PageServer(BaseServer):  # type: ignore[misc]
 
 
 def make_server(make_page: Callable[[Document], None], port: int | None) -> PageServer:
-    """Return a server of pages that only this machine can open.
-    `make_page` fills the Bokeh document of each browser tab. `port` is by default the first free one of
-    `DEFAULT_PORTS`. Raises WavefieldError if no port is free."""
+    """Return a server of pages that only this machine can open, at `port` or a free one of `DEFAULT_PORTS`.
+    `make_page` fills the Bokeh document of each browser tab. Raises WavefieldError if no port is free."""
     ports = DEFAULT_PORTS if port is None else range(port, port + 1)
     for number in ports:
         try:
@@ -135,13 +125,13 @@ def make_server(make_page: Callable[[Document], None], port: int | None) -> Page
 
 
 def session_server(session: LookSession, port: int | None = None) -> PageServer:
-    """Return a server of the pages of a cube; each browser tab opens in the state that its link describes.
-    `port` is by default the first free one of `DEFAULT_PORTS`. Raises WavefieldError if no port is free."""
+    """Return a server of the pages of a cube (`make_server`), which open in the state of their link."""
+    record = session.record
 
     def make_page(document: Document) -> None:
         arguments = document.session_context.request.arguments or {}
         query = {key: values[0].decode(errors="replace") for key, values in arguments.items()}
-        place = requested_place(session, query)
+        place = Place.read(query, record.names, record.layout.steps, record.first_step())
         if place.node is None:
             place = replace(place, node=middle_node(session.record, place.step))
         LookPage(session, place).attach(document)
@@ -150,9 +140,7 @@ def session_server(session: LookSession, port: int | None = None) -> PageServer:
 
 
 class ServedPage:
-    """A page that a notebook can show in a frame, because its server runs in its own thread.
-    The function `make` returns the server; it is called in that thread. An error in `make` is raised when the
-    page is created."""
+    """A page that a notebook shows in a frame. `make` returns its server, which runs in its own thread."""
 
     def __init__(self, make: Callable[[], PageServer]) -> None:
         self._ready = threading.Event()

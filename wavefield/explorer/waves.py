@@ -1,5 +1,7 @@
 """The tab of waves: E(k, omega) with the dispersion relation, and E(kx, ky) at one frequency."""
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 from bokeh.layouts import column, row
@@ -15,14 +17,11 @@ from wavefield.explorer.record import LookSession
 from wavefield.figures.display import POSITIVE
 
 DECADES = 6.0  # decades of the colour scale below the largest density
-_PLANE_PX = 340  # height of the map of (kx, ky)
-DEEP_WATER_M = 5.0  # start of the depth slider if the depth is unknown or infinite
 _WRAP = {"flex-wrap": "wrap"}
 
 
 def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return log10(density / its largest value), in the shape of `density`, clipped below at -`DECADES`.
-    All values are NaN if the density is nowhere positive."""
+    """Return log10(density / its largest value), at least -`DECADES`; NaN if no value is positive."""
     top = float(np.nanmax(density)) if np.isfinite(density).any() else 0.0
     if top <= 0:
         return np.full(density.shape, np.nan, np.float32)
@@ -31,9 +30,8 @@ def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def doppler_relation(k: NDArray[np.floating], current: float, depth: float) -> NDArray[np.floating]:
-    """Return the frequencies, Hz, at a fixed point, of free waves on a current, in the shape of k.
-    k is their wavenumber, rad/m. `current` is the component of the current in the direction of the waves,
-    m/s, and `depth` the depth of the water, m."""
+    """Return the frequencies, Hz, at a fixed point of free waves with wavenumbers k, rad/m.
+    `current` is the component of the current in the direction of the waves, m/s; `depth` is in metres."""
     return np.asarray((water.dispersion(k, depth) + k * current) / (2 * np.pi))
 
 
@@ -43,7 +41,7 @@ class WavePanel:
     def __init__(self, session: LookSession) -> None:
         self._session = session
         depth = float(session.record.group.attrs.get("water_depth", np.inf))
-        self._depth = depth if np.isfinite(depth) else DEEP_WATER_M
+        self._depth = depth if np.isfinite(depth) else 5.0  # deep water for waves of a few metres
         self._spectra: xr.Dataset | None = None
         self._chosen = 0  # index of the frequency of the map
         self.words = parts.text_line("wave_words")
@@ -90,7 +88,7 @@ class WavePanel:
         spectrum.add_layout(parts.colour_bar(mapper), "right")
         parts.on_click(spectrum, lambda event: self.choose(event.y))
         plane = parts.make_figure(  # kx and ky on equal axes
-            "wave_map", height=_PLANE_PX, min_width=280, match_aspect=True,
+            "wave_map", height=340, min_width=280, match_aspect=True,
             tools="pan,wheel_zoom,reset,save", toolbar_location="above",
             x_axis_label="kx / 2π (1/m)", y_axis_label="ky / 2π (1/m)",
         )  # fmt: skip
@@ -116,7 +114,7 @@ class WavePanel:
         session = self._session
         try:
             if session.run.waves is None and session.run.waves_path.is_dir():  # written meanwhile
-                session.reopen()
+                session.run = replace(session.run)  # reads the files again
             self._spectra = session.run.wave_group("spectra")
         except StoreError as error:
             self.words.text = str(error)
@@ -172,9 +170,8 @@ class WavePanel:
         self.sources["plane"].data = parts.image_data(log_density(energy.values), kx, ky)
         hertz = float(energy.omega_map) / (2 * np.pi)
         self.picked.location = hertz
-        self.figures[
-            "map"
-        ].title.text = f"E(kx, ky) of {name} at {number(hertz)} Hz, the nearest frequency stored"
+        title = f"E(kx, ky) of {name} at {number(hertz)} Hz, the nearest frequency stored"
+        self.figures["map"].title.text = title
         self._show_circle()
 
     def _show_circle(self) -> None:
