@@ -120,7 +120,7 @@ def pair_items(run: Run) -> list[Item]:
                 pair_differences(found),
                 "Differences between the measurements of the pairs, each on its own (divided by √2 they are "
                 "errors of one pair), and between z recombined from two pairs and z of the direct one.",
-                "Densities of differences of z, dx, dy, dz; their rms is in the table.",
+                "Densities of the differences; their rms is in the table.",
             )
         )
     caption = (
@@ -176,8 +176,9 @@ def pair_differences(found: xr.Dataset) -> Figure:
     """Draw the distributions of differences between pairs of cameras, from `Run.pair_statistics`.
     The panel of z also shows z of a pair computed from two other pairs, minus z measured directly."""
     per_metre = 1.0 / float(found.attrs["pixel_size"])
-    figure, axes = panels(2, 2, height=4.8)
-    _draw(axes[0, 0], found, ("z", "z_recombined"), per_metre, "difference of z px")
-    for ax, name in zip(axes.flat[1:], ("dx", "dy", "dz")):
-        _draw(ax, found, (name,), per_metre, f"difference of {name} px")
+    kinds = [("z", "z_recombined"), ("dx",), ("dy",), ("dz",)]
+    kinds = [names for names in kinds if np.isin(found.quantity, names).any()]
+    figure, axes = panels(min(len(kinds), 2), -(-len(kinds) // 2), height=4.8)
+    for ax, names in zip(axes.ravel(), kinds):
+        _draw(ax, found, names, per_metre, f"difference of {names[0]} px")
     return figure
