@@ -163,9 +163,8 @@ def test_rig_is_shown_and_converted_there_and_back(tmp_path, capsys):
     assert main(["rig", "a.xml", "cam2=b.xml"]) == 2
     assert main(["rig", "cam1=a.xml", "--size", "big"]) == 2
     capsys.readouterr()
-    for words in (["show", str(tmp_path / "rig.yaml")], [str(tmp_path)]):
-        assert main(["rig", *words]) == 0
-        assert "cam3: 2432 x 1728 px" in capsys.readouterr().out
+    assert main(["rig", str(tmp_path)]) == 0
+    assert "cam3: 2432 x 1728 px" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -179,7 +178,7 @@ def test_rig_is_shown_and_converted_there_and_back(tmp_path, capsys):
 )
 def test_a_file_that_is_no_rig_is_named_with_what_it_is(tmp_path, capsys, name, content, reason):
     (tmp_path / name).write_text(content)
-    assert main(["rig", "show", str(tmp_path / name)]) == 1
+    assert main(["rig", str(tmp_path / name)]) == 1
     printed = capsys.readouterr().err
     assert name in printed
     assert reason in printed

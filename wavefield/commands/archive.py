@@ -1,5 +1,6 @@
 """`wavefield export`, `catalog` and `rig`: exchange with other programs."""
 
+import re
 import warnings
 from pathlib import Path
 
@@ -47,19 +48,13 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None)
 
 
 def _slice(words: str | None) -> slice | None:
-    """Return the slice of steps that text such as 0:500:5 names; None without text.
-    Raises BadParameter if the text has another form."""
+    """Return the slice of steps that text such as 0:500:5 names, or None; BadParameter in other forms."""
     if words is None:
         return None
-    try:
-        parts = [int(word) if word else None for word in words.split(":")]
-        if len(parts) not in (2, 3) or any(part is not None and part < 0 for part in parts) or 0 in parts[2:]:
-            raise ValueError
-    except ValueError:
-        raise click.BadParameter(
-            f"--steps {words!r}: write FIRST:STOP or FIRST:STOP:EVERY, such as 0:500:5"
-        ) from None
-    return slice(*parts)
+    match = re.fullmatch(r"(\d*):(\d*)(?::(0*[1-9]\d*)?)?", words)
+    if not match:
+        raise click.BadParameter(f"--steps {words!r}: write FIRST:STOP or FIRST:STOP:EVERY, such as 0:500:5")
+    return slice(*(int(part) if part else None for part in match.groups()))
 
 
 @click.group()
@@ -87,15 +82,11 @@ _PROGRAMS = ("wavefield", "uvmat", "opencv", "matlab")
 
 
 class _Files(click.Group):
-    """A group of commands that runs `convert` if the first word is no command of the group.
-
-    A first word `show` is skipped, unless there is a file of that name.
-    """
+    """A group of commands that runs `convert` if the first word is no command of the group."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if args and args[0] not in (*self.commands, "-h", "--help"):
-            named_show = args[0] == "show" and not Path("show").exists()
-            args = ["convert", *args[named_show:]]
+            args = ["convert", *args]
         return super().parse_args(ctx, args)
 
 
@@ -177,8 +168,7 @@ def convert(
 
 def _sizes(given: tuple[str, ...], names: list[str]) -> dict[str, tuple[int, int]]:
     """Return image sizes (width, height), px, by camera, from texts such as 1024x1024 and cam1=1024x1024.
-    A text without a camera sets the size of all cameras `names`, or of cam1 to cam4 if `names` is empty.
-    Raises BadParameter if a text has another form."""
+    A text without a camera sets the size of all cameras `names`, or of cam1 to cam4 if `names` is empty."""
     out: dict[str, tuple[int, int]] = {}
     for entry in given:
         name, _, words = entry.rpartition("=")

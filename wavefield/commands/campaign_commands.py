@@ -4,7 +4,7 @@ import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import click
 
@@ -23,8 +23,7 @@ class CommandSource:
     parameters: dict[str, str]  # values that the user set for parameters of the catalog, by name
 
     def is_catalog(self) -> bool:
-        """Return whether the path is a catalog.
-        Raises UsageError if it is not, but the user named runs or parameters of a catalog."""
+        """Return whether the path is a catalog; UsageError if it is not, but the user named its runs."""
         from wavefield.pipeline import is_catalog
 
         if self.path.is_file() and is_catalog(self.path):
@@ -34,9 +33,8 @@ class CommandSource:
         return False
 
     def cubes(self) -> list[tuple[str, Path]]:
-        """Return the name of each chosen run of a catalog, and the path of its cube; the cube need not exist.
-        A run has one cube for each recipe (its settings). The cube is that of the recipe that was run last,
-        unless the parameters of the command name another recipe."""
+        """Return the name of each chosen run of a catalog, and the path of its cube, which need not exist.
+        Of several recipes of a run it is the last one, unless the parameters of the command name another."""
         from wavefield.pipeline.catalog import cube_of, runs_of
 
         return [
@@ -46,12 +44,17 @@ class CommandSource:
 
     def for_each_cube(self, work: Callable[[Path], int]) -> int:
         """Call `work` with the cube, or with the cube of each run of a catalog; return the exit status."""
-        return each(self.cubes(), with_cube(work)) if self.is_catalog() else work(find_cube(self.path))
+
+        def checked(run: str, cube: Path) -> int:
+            if not cube.is_dir():
+                raise StoreError(f"{run} is not measured yet; run: wavefield run CATALOG {run}")
+            return work(cube)
+
+        return each(self.cubes(), checked) if self.is_catalog() else work(find_cube(self.path))
 
 
 def named(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """Return the parameters of a catalog as a mapping, from texts such as ``location=/disk2``.
-    Raises BadParameter if a text has no "=". `context` and `parameter`, which click passes, do not matter."""
+    """Return the parameters of a catalog as a mapping, from texts such as ``location=/disk2``."""
     for value in values:
         if "=" not in value:
             raise click.BadParameter(f"{value!r}: write name=value")
@@ -59,42 +62,31 @@ def named(context: click.Context, parameter: click.Parameter, values: tuple[str,
 
 
 def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that gives a command the argument `source`, a `CommandSource`.
-    `metavar` stands for the argument in the help text, such as "CUBE|CATALOG"."""
+    """Return a decorator that gives a command the argument `source`, a `CommandSource` such as "CUBE"."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(command)
-        def with_source(
-            *context: click.Context,
-            source: Path,
-            entries: tuple[str, ...],
-            parameters: dict[str, str],
-            **options: object,
-        ) -> None:
+        def with_source(*context: Any, source: Path, entries: Any, parameters: Any, **options: Any) -> None:
             command(*context, source=CommandSource(source, entries, parameters), **options)
 
-        for parameter in (
-            click.option(
-                "-p",
-                "--parameter",
-                "parameters",
-                multiple=True,
-                callback=named,
-                help="Set a parameter of the catalog, such as location=/disk2.",
-            ),
-            click.argument("entries", nargs=-1, metavar="[RUN]..."),
-            click.argument("source", metavar=metavar, type=PATH),
-        ):
-            parameter(with_source)
+        click.option(
+            "-p",
+            "--parameter",
+            "parameters",
+            multiple=True,
+            callback=named,
+            help="Set a parameter of the catalog, such as location=/disk2.",
+        )(with_source)
+        click.argument("entries", nargs=-1, metavar="[RUN]...")(with_source)
+        click.argument("source", metavar=metavar, type=PATH)(with_source)
         return with_source
 
     return decorate
 
 
 def each(runs: Sequence[tuple[str, T]], work: Callable[[str, T], int], quiet: bool = False) -> int:
-    """Call `work` with the name and item of every run; an error in one run does not stop the others.
-    Returns the worst exit status of all runs, where a WavefieldError counts as 1. Prints the name of each run
-    first, unless `quiet`."""
+    """Call `work` with the name and item of every run, and return the worst exit status.
+    A WavefieldError in one run counts as 1 and does not stop the others."""
     statuses = []
     for number, (run, item) in enumerate(runs, 1):
         if not quiet:
@@ -110,15 +102,3 @@ def each(runs: Sequence[tuple[str, T]], work: Callable[[str, T], int], quiet: bo
 def worst(statuses: Sequence[int]) -> int:
     """Return the worst of several exit statuses: 1 (failed) is worse than 3 (remarks), and 3 than 0."""
     return 1 if 1 in statuses else max(statuses, default=0)
-
-
-def with_cube(work: Callable[[Path], int]) -> Callable[[str, Path], int]:
-    """Return a function of the name and the cube of a run that calls `work` with the cube.
-    The function raises StoreError if the run has no cube yet."""
-
-    def checked(run: str, cube: Path) -> int:
-        if not cube.is_dir():
-            raise StoreError(f"{run} is not measured yet; run: wavefield run CATALOG {run}")
-        return work(cube)
-
-    return checked

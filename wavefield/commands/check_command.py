@@ -15,7 +15,6 @@ from wavefield.commands.progress import Progress, command_line, print_next
 from wavefield.commands.sources import JSON, PATH, RIG, experiment_file
 
 if TYPE_CHECKING:
-    from wavefield.measurement.diagnostics import Diagnosis
     from wavefield.pipeline import Check
     from wavefield.pipeline.prepare import PreparedRun
     from wavefield.series import Experiment
@@ -53,17 +52,26 @@ def check(
     """
     from wavefield import pipeline
     from wavefield.execution.process import keep_memory
+    from wavefield.pipeline.prepare import prepare
 
     keep_memory()
     source = replace(source, path=experiment_file(source.path))
+
+    def inspect(experiment: Path | Experiment, stage: str) -> Check:
+        with Progress(stage):
+            found = pipeline.check(experiment, rig, workflow)
+        if not as_json:
+            click.echo(str(found))
+        if pairs and not as_json and not found.problems:
+            click.echo(_pairs_table(prepare(experiment, rig, workflow)))
+        return found
+
     if not source.is_catalog():
-        with Progress("Reading the frames and measuring a few steps"):
-            found = pipeline.check(source.path, rig, workflow)
+        found = inspect(source.path, "Reading the frames and measuring a few steps")
         if as_json:
             click.echo(json.dumps(found.to_dict(), indent=1, default=str))
-            context.exit(found.exit_status)
-        _report(found, source.path, rig, workflow, pairs)
-        _next(found, source.path, rig)
+        else:
+            _next(found, source.path, rig)
         context.exit(found.exit_status)
     from wavefield.pipeline.catalog import find_experiment, runs_of
 
@@ -74,10 +82,7 @@ def check(
     checks: dict[str, Check] = {}
 
     def work(run: str, experiment: Experiment) -> int:
-        with Progress(f"Checking {run}"):
-            checks[run] = pipeline.check(experiment, rig, workflow)
-        if not as_json:
-            _report(checks[run], experiment, rig, workflow, pairs)
+        checks[run] = inspect(experiment, f"Checking {run}")
         return checks[run].exit_status
 
     status_of_all = campaign_commands.each(runs, work, quiet=as_json)
@@ -109,18 +114,9 @@ def _next(found: Check, source: Path, rig: Path | None) -> None:
     print_next("run", source, *more)
 
 
-def _report(
-    found: Check, experiment: Path | Experiment, rig: Path | None, workflow: Path | None, pairs: bool
-) -> None:
-    click.echo(str(found))
-    if pairs and not found.problems:
-        from wavefield.pipeline.prepare import prepare
-
-        click.echo(_pairs_table(prepare(experiment, rig, workflow)))
-
-
 def _pairs_table(prepared: PreparedRun) -> str:
-    """Return a table of the differences between pairs of cameras in a step near the middle of the record."""
+    """Return a table of the differences between pairs of cameras in a step near the middle of the record.
+    Below it are the noise, the shortest waves that are resolved, and the size of the beads."""
     from wavefield.measurement.diagnostics import diagnose_around
     from wavefield.rig.field import pixel_size
 
@@ -140,20 +136,14 @@ def _pairs_table(prepared: PreparedRun) -> str:
     for row in rows:
         centimetres = "" if row["cm"] is None else f"{row['cm']:.4f} cm"
         lines.append(f"    {row['name']:<{width}} {centimetres:>10} {row['px']:.3f} px")
-    return "\n".join([*lines, *_carried_lines(found, pixel)])
-
-
-def _carried_lines(found: Diagnosis, pixel: float) -> list[str]:
-    """Return lines on the noise, the shortest waves that are resolved, and the size of the beads.
-    `pixel` is the size of a pixel on the water, m."""
     noise = ", ".join(f"{name} {value / pixel:.3f}" for name, value in found.noise.items())
-    lines = [f"  standard uncertainty, two frames, px: {noise}"]
+    lines.append(f"  standard uncertainty, two frames, px: {noise}")
     carried = ", ".join(f"{name} {100 * length:.1f}" for name, length in found.carried.items())
     lines.append(f"  wavelength of which half the amplitude is kept, cm: {carried}")
     widths = ", ".join(f"{name} {width:.1f}" for name, width in found.widths.items() if width)
     if widths:
         lines.append(f"  width of the beads' images, px (2 in focus): {widths}")
-    return lines
+    return "\n".join(lines)
 
 
 @click.command(

@@ -154,12 +154,7 @@ def _sentence(error: Exception) -> str:
     if isinstance(error, WavefieldError):
         return str(error)
     if isinstance(error, MemoryError):
-        from wavefield.execution.process import peak_memory
-
-        return (
-            f"memory ran out ({error}): this command needs more than the {peak_memory() / 1e9:.2g} GB that "
-            "it took; end other programs, or use a machine with more"
-        )
+        return f"memory ran out ({error}); end other programs, or use a machine with more"
     return (
         f"{type(error).__name__}: {error} (an error that wavefield did not foresee; "
         "`wavefield --debug ...` shows where it happened)"

@@ -2,16 +2,11 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from wavefield.commands.progress import Progress, print_next
 from wavefield.errors import WavefieldError
-
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 # by variable: label, and errors in the tests of Aubourg et al. (2019), in mm and in px of 1.8 mm
 PAPER = {"z": ("z", "0.2-0.7", "0.13-0.4")} | {n: (f"{n} dt", "0.3-0.5", "0.3") for n in "uvw"}
@@ -21,8 +16,7 @@ def run_demo(
     directory: Path, command: Callable[[list[str]], int], scene: str = "demo", *, quiet: bool = False
 ) -> None:
     """Simulate, calibrate, check, run, analyse and report into a folder, then print the errors.
-    `command` runs one command line, given as words without `wavefield`, and returns its exit status. `scene`
-    is the name or file of a scene. Raises WavefieldError if a command fails."""
+    `command` runs one command line, given as words without `wavefield`, and returns its exit status."""
     experiment, cube = directory / "experiment.yaml", directory / "cube.zarr"
     for words in (
         ["simulate", scene, directory],
@@ -45,9 +39,9 @@ def run_demo(
 
 
 def comparison(store: Path, directory: Path) -> str:
-    """Return a table of the rms errors of a simulated experiment, next to those of Aubourg et al. (2019).
-    `store` is its cube, `directory` the folder that `simulate` wrote."""
+    """Return a table of the errors of a cube of the experiment in a folder, next to the paper's."""
     import numpy as np
+    from scipy.ndimage import binary_erosion
 
     from wavefield.pipeline import open_run
     from wavefield.reports import errors_against
@@ -58,7 +52,10 @@ def comparison(store: Path, directory: Path) -> str:
     run = open_run(store, experiment=directory / "experiment.yaml")
     cube = run.cube
     assert run.truth is not None  # the demo wrote it
-    errors = inside(errors_against(cube, run.truth), EDGE)
+    errors = errors_against(cube, run.truth)
+    measured = np.isfinite(errors.z).any("time").transpose("y", "x")
+    margin = max(round(EDGE / run.grid.step), 1)
+    errors = errors.where(measured.copy(data=binary_erosion(measured.values, iterations=margin)))
     pixel = pixel_size(Rig.load(directory / "truth" / "rig.yaml"), run.grid)
     rate = float(cube.attrs["frame_rate"])
     lines = [
@@ -74,18 +71,6 @@ def comparison(store: Path, directory: Path) -> str:
     share = 100 * float(finite.sum()) / max(int(finite.any("time").sum()) * errors.sizes["time"], 1)
     lines.append(f"\n{errors.sizes['time']} steps, {share:.1f} % of these nodes have a value")
     return "\n".join(lines)
-
-
-def inside(errors: "xr.Dataset", margin: float) -> "xr.Dataset":
-    """Return errors (time, y, x) with NaN within `margin`, m, of the edge of the measured region.
-    The measured region consists of the nodes that have a value of z at some step."""
-    import numpy as np
-    from scipy.ndimage import binary_erosion
-
-    nodes = round(margin / float(np.mean(np.diff(errors.x))))
-    ever = np.isfinite(errors.z).any("time").transpose("y", "x")
-    deep = binary_erosion(ever.values, iterations=nodes) if nodes else ever.values
-    return errors.where(ever.copy(data=deep))
 
 
 @click.command(

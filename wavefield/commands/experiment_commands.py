@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 
 
 def _range(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    """Return the first and the last frame that text such as 0:49 names; None without text.
-    Raises BadParameter if the text has another form or names fewer than two frames."""
+    """Return the first and the last frame that text such as 0:49 names, or None; BadParameter if wrong."""
     if value is None:
         return None
     match = re.fullmatch(r"(\d+):(\d+)", value)
@@ -47,9 +46,7 @@ def _range(context: click.Context, parameter: click.Parameter, value: str | None
 
 def _trial(source: Path, frames: tuple[int, int], output: Path | None) -> tuple[Experiment, Path]:
     """Return the experiment limited to the frames from first to last, and the path of the cube to write.
-    `source` is the experiment file, and `frames` holds the numbers of the first and the last frame. The path
-    is `output`, or by default cube_FIRST_LAST.zarr next to the file. Raises ExperimentError if the record has
-    fewer than two of these frames."""
+    Raises ExperimentError if the record has fewer than two of these frames."""
     from wavefield.errors import ExperimentError
     from wavefield.series import Experiment
     from wavefield.series.experiment_parts import FramesSection
@@ -152,18 +149,15 @@ def run(
 
 
 def _after(found: Status, measured_now: bool = False) -> str:
-    """Return the name of the command that usually follows a run, such as "analyze".
-    For a light sheet it is never "analyze". `measured_now` tells that the run has just ended, so that later
-    results, if there are any, are out of date."""
+    """Return the command that usually follows a run; for a light sheet it is never "analyze".
+    If the run has just ended, `measured_now`, later results are out of date."""
     sheet = found.verdict and any(one.kind == "light sheet" for one in found.verdict.remarks)
-    if measured_now:
-        return "report" if sheet else "analyze"
-    return _not_done(found.store, ("report",) if sheet else ("analyze", "report"))
+    commands = ("report",) if sheet else ("analyze", "report")
+    return commands[0] if measured_now else _not_done(found.store, commands)
 
 
 def _not_done(cube: Path, commands: Sequence[str] = ("analyze", "report")) -> str:
-    """Return the first command in `commands` whose result is not there yet; "look" if all results are there.
-    The results of `analyze` and `report` are next to the cube."""
+    """Return the first command in `commands` whose result is not next to the cube yet, or else "look"."""
     product = {"analyze": ("waves", ".zarr"), "report": ("report", ".html")}
     return next((name for name in commands if not beside(cube, *product[name]).exists()), "look")
 

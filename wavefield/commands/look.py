@@ -14,34 +14,22 @@ if TYPE_CHECKING:
 _PORT = click.option(
     "--port", type=click.IntRange(0, 65535), help="Port; by default 5006 or the next that is free."
 )
-LAST = 19  # lowest scheduling priority of a process (niceness)
 
 
 def serve(server: "PageServer") -> None:
     """Start a server of pages, print its address, and serve until the user presses Ctrl-C."""
     server.start()
-    announce(server.url, int(server.port or 0))
-    try:
-        server.io_loop.start()
-    except KeyboardInterrupt:
-        server.stop()
-
-
-def announce(url: str, port: int) -> None:
-    """Print the address of a page, and in an SSH session how to reach it from the user's own machine."""
-    click.echo(f"Open {url} in a browser; Ctrl-C stops.")
+    click.echo(f"Open {server.url} in a browser; Ctrl-C stops.")
     if os.environ.get("SSH_CONNECTION"):
+        port = server.port
         click.echo(
             f"From your own machine first: ssh -L {port}:localhost:{port} and this machine's name. If {port} "
             "is taken there, write another number before the colon, and in the address."
         )
-
-
-def lower_priority(steps_to_come: int) -> None:
-    """Give this process the lowest priority if the cube is unfinished, so that it does not slow the run.
-    `steps_to_come` is the number of steps that are not measured yet."""
-    if steps_to_come and hasattr(os, "nice"):  # Windows has no niceness
-        os.nice(LAST - os.nice(0))
+    try:
+        server.io_loop.start()
+    except KeyboardInterrupt:
+        server.stop()
 
 
 @click.command(
@@ -68,7 +56,8 @@ def look(source: Path, run: str | None, port: int | None) -> None:
 
     session = LookSession(find_cube(source, run))
     record = session.record
-    lower_priority(record.layout.steps - record.steps_done)
+    if record.steps_done < record.layout.steps and hasattr(os, "nice"):  # Windows has no niceness
+        os.nice(19)  # the lowest priority, so that the page does not slow the run
     server = session_server(session, port)
     session.load()
     serve(server)

@@ -15,11 +15,9 @@ from wavefield.text import short_path, spell_time
 
 
 class Progress:
-    """Prints how much of a stage is done and how long the rest will take.
-    `stage` is a phrase such as "Reading cube.zarr", `unit` names the parts, such as "steps". `stream` is by
-    default the standard error. Call it with the number of parts done and of all parts. On a terminal it
-    redraws one line; in a log it prints a line at the start, at each quarter, once a minute, and at the
-    end."""
+    """Prints how much of a stage, such as "Reading cube.zarr", is done and how long the rest will take.
+    Call it with the number of parts, such as "steps", done and of all parts. On a terminal it redraws one
+    line; in a log it prints a line at the start, at each quarter, once a minute, and at the end."""
 
     def __init__(self, stage: str, unit: str = "", stream: TextIO | None = None) -> None:
         self.stream = stream if stream is not None else sys.stderr
@@ -78,8 +76,7 @@ class Progress:
         return f"{self.done} of {self.total}{' ' + self.unit if self.unit else ''} ({share} %)"
 
     def _left(self, now: float) -> str:
-        """Return the estimated time left as words, or "" while it is unknown; `now` is a monotonic time, s.
-        The first part does not count, because it includes compilation."""
+        """Return the estimated time left as words; the first part, with compilation, does not count."""
         if self.first is None or self.paced is None or not self.paced[1] < self.done < self.total:
             return ""
         spent, first = now - self.paced[0], self.paced[0] - self.first[0]
@@ -111,19 +108,12 @@ class Progress:
 
 
 def command_line(*words: object) -> str:
-    """Return a command of wavefield as a line for the shell, with quotes where they are needed.
-
-    Examples
-    --------
-    >>> command_line("check", "run 7/experiment.yaml")
-    "wavefield check 'run 7/experiment.yaml'"
-    """
+    """Return a command of wavefield as a line for the shell, with quotes where they are needed."""
     return shlex.join(["wavefield", *(str(word) for word in words)])
 
 
 def print_next(*words: object, first: str = "") -> None:
-    """Print "Next:" and the command that usually follows; print nothing with `--quiet`.
-    `words` are the command and its arguments, `first` tells what the user should do before it."""
+    """Print "Next:", what the user should do `first`, and a command with its arguments, unless quiet."""
     context = click.get_current_context(silent=True)
     if not (context and context.meta.get("wavefield.quiet")):
         shown = (short_path(word) if isinstance(word, Path) else word for word in words)

@@ -100,13 +100,7 @@ Examples:
     help="Distance between two cameras, m. Recomputes the second camera's pose from features that both see.",
 )
 @frames_option(20, "How many instants to use.")
-def level(
-    experiment: Path,
-    rig: Path | None,
-    output: Path,
-    distance: float | None,
-    frames: int,
-) -> None:
+def level(experiment: Path, rig: Path | None, output: Path, distance: float | None, frames: int) -> None:
     """Level cameras, and find their relative pose, from images of the sea.
 
     For moving water with natural texture. Triangulates features that the cameras share at many instants; the
@@ -119,7 +113,6 @@ def level(
     with Progress("Matching the cameras", "instants") as progress:
         found = level_experiment(experiment, rig, distance, frames, progress)
     _save(found.rig, output, experiment, found.sentence)
-    print_next("check", experiment, "--rig", output)
 
 
 @click.command(
@@ -145,7 +138,6 @@ def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None
     with Progress("Correlating the cameras", "passes") as progress:
         found = find_sheet(experiment, rig, frames, progress)
     _save(found.rig, output, experiment, found.sentence)
-    print_next("check", experiment, "--rig", output)
 
 
 @click.command(
@@ -174,19 +166,18 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
         still = loaded.at_rest() if loaded.rest else loaded
         refined, found, plane = level_at_rest(still, rig, frames, progress)
     _save(refined, output, experiment, f"{found.sentence}\n{plane_sentence(plane)}")
-    print_next("check", experiment, "--rig", output)
 
 
 def _save(rig: "Rig", output: Path, experiment: Path, found: str) -> None:
-    """Print the sentence `found`, write the rig to `output`, and tell how to use it."""
+    """Print the sentence `found`, write the rig to `output`, and tell how to use it and what follows."""
     click.echo(found)
     rig.save(output, source_of_experiment(experiment, output))
     click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
+    print_next("check", experiment, "--rig", output)
 
 
 def _check_output(output: Path, experiment: Path, rig: Path | None) -> None:
-    """Raise StoreError, before the work, if `output` cannot be written.
-    That is so if it is one of the input files, or exists and is no earlier rig of this experiment."""
+    """Raise StoreError, before the work, if `output` is an input or no earlier rig of this experiment."""
     from wavefield.atomic_write import Product, check_writable
     from wavefield.series import Experiment
 

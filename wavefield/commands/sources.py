@@ -24,8 +24,8 @@ def is_store(path: Path) -> bool:
 
 
 def source_of_experiment(experiment: Path, output: Path) -> str:
-    """Return a hash of the name of an experiment and of its path relative to the folder of `output`.
-    The file `output` stores the hash, so that a later command replaces it only for the same experiment."""
+    """Return a hash of an experiment's name and path relative to `output`, which stores it.
+    A later command replaces `output` only for the same experiment."""
     from wavefield.atomic_write import identity_of
     from wavefield.series import Experiment
 
@@ -65,8 +65,7 @@ STORE = click.argument("store", metavar=CUBE, type=PATH, callback=lambda _, __, 
 
 
 def frames_option(default: int, words: str, least: int = 1) -> Callable[[Command], Command]:
-    """Return the click option `--frames`, a number of frames.
-    It is at least `least`, and `default` if the user does not give it. `words` is the help text."""
+    """Return the click option `--frames`, a number of frames with the help text `words`."""
     count = click.IntRange(min=least)
     return click.option("--frames", default=default, show_default=True, type=count, help=words)
 

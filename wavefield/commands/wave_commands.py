@@ -54,9 +54,8 @@ def analyze(
 
 
 def _analyze(store: Path, output: Path | None, segment: int | None, workflow: Path | None) -> int:
-    """Analyse the cube `store`, write its waves to `output`, and return the exit status.
-    The work is done here, or on the workers of a workflow file if one is given. `segment` is the number of
-    steps per segment of the spectra. The exit status is 3 if steps of the cube are not measured, else 0."""
+    """Analyse a cube, here or on the workers of a workflow file, and return the exit status.
+    It is 3 if steps of the cube are not measured, else 0."""
     from wavefield.pipeline import analyze_on_workers, open_run
     from wavefield.pipeline.analysis import analyze as analyze_cube
     from wavefield.store.ledger import unfinished_note
@@ -95,27 +94,27 @@ def report(context: click.Context, source: campaign_commands.CommandSource, outp
     """
     from wavefield.reports.compose import report as write
 
-    def work(cube: Path, page: Path | None = None) -> int:
-        page = page or beside(cube, "report", ".html")
+    catalog = source.is_catalog()
+
+    def work(cube: Path) -> int:
+        page = beside(cube, "report", ".html") if catalog or output is None else output
         with Progress(f"Drawing {short_path(page)}", "parts") as progress:
             write(cube, page, progress=progress)
         click.echo(f"Wrote {short_path(page)}; open it in a browser.")
         return 0
 
-    if not source.is_catalog():
-        cube = find_cube(source.path)
-        status = work(cube, output)
-        print_next("look", cube)
+    status = source.for_each_cube(work)
+    if not catalog:
+        print_next("look", find_cube(source.path))
         context.exit(status)
     from wavefield.reports.campaign import compare
 
     cubes = source.cubes()
-    found = campaign_commands.each(cubes, campaign_commands.with_cube(work))
     page = compare(source.path.stem, cubes, output or source.path.with_suffix(".html"))
     runs = "one run" if len(cubes) == 1 else f"a comparison of {len(cubes)} runs"
     click.echo(f"Wrote {short_path(page)}, {runs}; open it in a browser.")
     print_next("look", source.path, cubes[0][0])
-    context.exit(found)
+    context.exit(status)
 
 
 @click.command(
