@@ -48,7 +48,7 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None)
 
 
 def _slice(words: str | None) -> slice | None:
-    """Return the slice of steps that text such as 0:500:5 names, or None; BadParameter in other forms."""
+    """Return the slice of steps that text such as 0:500:5 describes; None without text."""
     if words is None:
         return None
     match = re.fullmatch(r"(\d*):(\d*)(?::(0*[1-9]\d*)?)?", words)

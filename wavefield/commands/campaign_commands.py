@@ -23,7 +23,7 @@ class CommandSource:
     parameters: dict[str, str]  # values that the user set for parameters of the catalog, by name
 
     def is_catalog(self) -> bool:
-        """Return whether the path is a catalog; UsageError if it is not, but the user named its runs."""
+        """Return whether the path is a catalog; raise UsageError if not although the user named runs."""
         from wavefield.pipeline import is_catalog
 
         if self.path.is_file() and is_catalog(self.path):
@@ -34,7 +34,7 @@ class CommandSource:
 
     def cubes(self) -> list[tuple[str, Path]]:
         """Return the name of each chosen run of a catalog, and the path of its cube, which need not exist.
-        Of several recipes of a run it is the last one, unless the parameters of the command name another."""
+        If a run has several recipes, the last one counts, unless the user's parameters name another."""
         from wavefield.pipeline.catalog import cube_of, runs_of
 
         return [
@@ -62,7 +62,7 @@ def named(context: click.Context, parameter: click.Parameter, values: tuple[str,
 
 
 def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that gives a command the argument `source`, a `CommandSource` such as "CUBE"."""
+    """Return a decorator that adds the argument `source`, shown as `metavar` in the help text."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(command)

@@ -116,7 +116,7 @@ def _next(found: Check, source: Path, rig: Path | None) -> None:
 
 def _pairs_table(prepared: PreparedRun) -> str:
     """Return a table of the differences between pairs of cameras in a step near the middle of the record.
-    Below it are the noise, the shortest waves that are resolved, and the size of the beads."""
+    Below the table are the noise, the shortest waves that are resolved, and the size of the beads."""
     from wavefield.measurement.diagnostics import diagnose_around
     from wavefield.rig.field import pixel_size
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def _range(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    """Return the first and the last frame that text such as 0:49 names, or None; BadParameter if wrong."""
+    """Return the first and the last frame that text such as 0:49 describes; None without text."""
     if value is None:
         return None
     match = re.fullmatch(r"(\d+):(\d+)", value)
@@ -150,7 +150,7 @@ def run(
 
 def _after(found: Status, measured_now: bool = False) -> str:
     """Return the command that usually follows a run; for a light sheet it is never "analyze".
-    If the run has just ended, `measured_now`, later results are out of date."""
+    `measured_now` tells that the run has just ended, so that any later results are out of date."""
     sheet = found.verdict and any(one.kind == "light sheet" for one in found.verdict.remarks)
     commands = ("report",) if sheet else ("analyze", "report")
     return commands[0] if measured_now else _not_done(found.store, commands)

@@ -113,7 +113,7 @@ def command_line(*words: object) -> str:
 
 
 def print_next(*words: object, first: str = "") -> None:
-    """Print "Next:", what the user should do `first`, and a command with its arguments, unless quiet."""
+    """Print the command that usually follows, after what the user should do `first`; nothing if quiet."""
     context = click.get_current_context(silent=True)
     if not (context and context.meta.get("wavefield.quiet")):
         shown = (short_path(word) if isinstance(word, Path) else word for word in words)

@@ -177,7 +177,7 @@ def _save(rig: "Rig", output: Path, experiment: Path, found: str) -> None:
 
 
 def _check_output(output: Path, experiment: Path, rig: Path | None) -> None:
-    """Raise StoreError, before the work, if `output` is an input or no earlier rig of this experiment."""
+    """Raise StoreError, before the work, if `output` is an input file or not a rig of this experiment."""
     from wavefield.atomic_write import Product, check_writable
     from wavefield.series import Experiment
 

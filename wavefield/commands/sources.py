@@ -24,8 +24,8 @@ def is_store(path: Path) -> bool:
 
 
 def source_of_experiment(experiment: Path, output: Path) -> str:
-    """Return a hash of an experiment's name and path relative to `output`, which stores it.
-    A later command replaces `output` only for the same experiment."""
+    """Return a hash of the name of an experiment and of its path relative to the file `output`.
+    The file stores the hash, so that a later command replaces it only for the same experiment."""
     from wavefield.atomic_write import identity_of
     from wavefield.series import Experiment
 

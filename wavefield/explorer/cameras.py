@@ -53,7 +53,7 @@ class MaskPanel:
             self._keep([*self._corners, (image, corner)])
 
     def closed_line(self, image: str) -> dict[str, list[float]]:
-        """Return the corners of the mask `image` as columns "x" and "y", with the first one repeated."""
+        """Return the corners of the mask `image` as columns "x" and "y"; the first corner is repeated."""
         corners = [corner for name, corner in self._corners if name == image]
         line = [*corners, *corners[:1]]
         return {"x": [float(x) for x, _ in line], "y": [float(y) for _, y in line]}
@@ -94,8 +94,8 @@ made.y_range.setv({start: height + dy, end: -dy, reset_start: height + dy, reset
 
 
 def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
-    """Return an 8-bit copy of an image (row, column) that fits on a screen, and the factor n of its size.
-    Each pixel is the mean of n x n pixels, stretched from the 0.5 % to the 99.5 % quantile of brightness."""
+    """Return an 8-bit copy of an image (row, column) that is n times smaller and fits on a screen, and n.
+    Each pixel is a mean of n x n pixels. The 0.5 % and 99.5 % quantiles become black and white."""
     factor = max(1, -(-max(image.shape) // MAX_SCREEN_PX))
     h, w = (n - n % factor for n in image.shape)
     small = np.asarray(image[:h, :w], np.float32)
@@ -122,7 +122,7 @@ def fit_image(made: figure, shape: tuple[int, ...]) -> None:
 
 
 def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
-    """Show an image (row, column), averaged over n x n pixels, on axes in px of the camera; return n."""
+    """Show an image (row, column) on axes in px of the camera; return the factor n of `shrink`."""
     fit_image(made, image.shape)
     small, factor = shrink(image)
     h, w = small.shape

@@ -134,13 +134,13 @@ class Baseline:
     _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)
 
     def add(self, name: str, values: object) -> None:
-        """Add a summary, a dataclass of numbers, of the camera or pair `name`, if it is of a first step."""
+        """Add a summary, a dataclass of numbers, of the camera or pair `name`; only the first ones count."""
         first = self._first.setdefault((type(values), name), [])
         if len(first) < self.n_steps:
             first.append(values)
 
     def medians(self, kind: type[T], name: str = "") -> T | None:
-        """Return the medians of `n_steps` summaries of class `kind` of `name`; None until they are there."""
+        """Return the medians of the first summaries of class `kind`; None until there are `n_steps`."""
         first = self._first.get((kind, name), [])
         if len(first) < self.n_steps:
             return None
@@ -150,7 +150,7 @@ class Baseline:
 
 def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -> list[StatusLight]:
     """Return the lights of brightness, saturation, seeding and focus of one camera from its newest frame.
-    `first` holds medians over the first steps, or is None until these are known; so in the next functions."""
+    `first` holds the medians of its first frames, or is None until these are known."""
     words = f"beads at {now.peak:.0f}, background {now.background:.0f}"
     dark = False
     if first is not None:
@@ -175,7 +175,8 @@ def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -
 
 
 def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> StatusLight:
-    """Return the light of a pair of cameras "a-b": bad if they disagree, as after one camera was moved."""
+    """Return the light of a pair of cameras "a-b", which is bad if they disagree: one may have moved.
+    `first` holds the medians of the first steps, or is None until these are known."""
     state = _worst(_rate("eps_y", now, first), _rate("matched", now, first))
     missed = f"epipolar error {now.eps_y:.2f} px" if np.isfinite(now.eps_y) else "no blocks match"
     return StatusLight("eps_y", pair, state, f"{missed}; {100 * now.matched:.0f} % of the blocks match")
@@ -204,7 +205,8 @@ def arrival_lights(
 
 
 def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight]:
-    """Return the lights of misfit, fraction of measured nodes, and range of z for a measured step."""
+    """Return the lights of misfit, fraction of measured nodes, and range of z for a measured step.
+    `first` holds the medians of the first steps, or is None until these are known."""
     found = {
         "eps'": ("eps_piv", f"displacements differ by {now.eps_piv:.2f} px"),
         "coverage": ("coverage", f"{100 * now.coverage:.0f} % of the nodes measured"),
@@ -234,7 +236,7 @@ def _rate(name: str, now: T, first: T | None) -> State:
 
 
 def _state(value: float, limits: Limits) -> State:
-    """Return whether a value is good, doubtful or bad, by the limits of the last two; NaN is good."""
+    """Return whether a value is good, or beyond its limits for doubtful or bad; NaN counts as good."""
     doubtful, bad = limits
     if bad < doubtful:
         value, doubtful, bad = -value, -doubtful, -bad

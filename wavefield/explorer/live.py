@@ -58,7 +58,7 @@ class FolderWatch:
         self._frames: dict[str, dict[int, FrameEntry]] = {}
 
     def poll(self) -> None:
-        """List the image folders and note the newest frame of each camera, or why there is none."""
+        """List the image folders; note the newest frame of each camera, or its error in `trouble`."""
         self._polled = time.monotonic()
         for name, section in self.experiment.cameras.items():
             try:
@@ -75,11 +75,11 @@ class FolderWatch:
                 self._noticed[name] = self._polled
 
     def silent(self) -> dict[str, float]:
-        """Return, by camera, how long its newest frame, or none, had been known at the last `poll`, s."""
+        """Return the time, s, from the discovery of each camera's newest frame to the last `poll`."""
         return {name: self._polled - when for name, when in self._noticed.items()}
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
-        """Return the newest two successive frames of all recording cameras, with the first above `after`."""
+        """Return the newest two successive frames of all recording cameras, numbered above `after`."""
         latest = max(self.written.values(), default=0.0)
         longest = lights.LIMITS["delay"][1]  # a camera further behind the others counts as stopped
         sending = [name for name, when in self.written.items() if latest - when <= longest]

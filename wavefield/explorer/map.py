@@ -32,7 +32,7 @@ _WHERE = ("x, y", "$x{0.000}, $y{0.000} m")
 
 
 def map_aspect(ratio: float) -> float:
-    """Return the width over the height of a map with its margins, from that of the field, for 900 px."""
+    """Return the aspect ratio of a map with margins, 900 px wide, for a field with the aspect `ratio`."""
     return float(np.clip(ratio * 900 / (768 + 60 * ratio), 0.8, 3.0))
 
 
@@ -143,7 +143,7 @@ class MapPanel:
         self.mark(place.node)
 
     def _name_values(self, place: Place, code: str) -> bool:
-        """Set the tooltip of the map, whose value JavaScript `code` formats; return whether it changed."""
+        """Set the tooltip, in which the JavaScript `code` formats the value; return whether it changed."""
         shown = display(place.show)
         rows = [(shown.name, f"@image{{custom}} {shown.unit}"), _WHERE]
         changed = bool(self.hover.tooltips != rows)

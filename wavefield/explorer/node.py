@@ -182,7 +182,7 @@ class NodePanel:
         return nearest_probe(self.probes, record.x[i], record.y[j], max(MAX_PROBE_DISTANCE_M, spacing))
 
     def _series(self, name: str, unit_of: str = "") -> Array:
-        """Return a variable near the picked node, (time,), in the displayed unit of `unit_of` or its own."""
+        """Return a variable near the picked node, (time,), in the unit in which `unit_of` is displayed."""
         preview, factor = self._record.preview, display(unit_of or name).factor
         return preview.series(name, *self._index(preview.y, preview.x)) * np.float32(factor)
 

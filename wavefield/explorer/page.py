@@ -216,7 +216,7 @@ class LookPage:
             self._soon(self._show_view if list(changed) == ["tab"] else self.redraw)
 
     def entered(self, name: str) -> str | int:
-        """Return what the user entered in a list or slider; an invalid value is replaced by a valid one."""
+        """Return what the user entered in the widget `name`; a valid value replaces an invalid one."""
         widget = self.controls[name]
         if isinstance(widget, Select):
             return parts.chosen(widget)
@@ -249,7 +249,7 @@ class LookPage:
             self.picked.active = PICKED.index("mask")
 
     def _take_corner(self, image: str, x: float, y: float) -> bool:
-        """If the user is drawing masks, add the corner x, y, px of a camera or m of `WATER`; return if so."""
+        """Add a corner to the mask `image` if the user draws masks; return whether it was added."""
         if self.entered("drag") != "mask":
             return False
         self._open_masks()

@@ -52,7 +52,7 @@ class Place:
     node: tuple[float, float] | None = None  # x and y of the clicked node, metres
 
     def query(self) -> str:
-        """Return the query of a link to this state; usual values are left out, except variable and step."""
+        """Return the query of a link to this state; only variable and step are always in it."""
         pairs = {}
         for field in fields(self):
             value = getattr(self, field.name)
@@ -65,7 +65,7 @@ class Place:
     @classmethod
     def read(cls, query: Mapping[str, str], names: Sequence[str], steps: int, first: int = 0) -> "Place":
         """Return the state that the query of a link describes; values that are not valid are ignored.
-        `names` are the variables of the cube, `steps` is its number of steps, and `first` the usual step."""
+        `names` are the variables of the cube, `steps` its number of steps, and `first` the default step."""
         choices = {"show": names, "tab": TABS, "overlay": OVERLAYS}
         found: dict[str, Any] = {name: text for name, text in query.items() if text in choices.get(name, ())}
         for name in query.keys() & {"limits", "node"}:
@@ -120,7 +120,7 @@ class LazyPanel:
 
 
 def make_figure(name: str, **settings: object) -> figure:
-    """Return a Bokeh figure in the style of the pages; `settings` of `bokeh.plotting.figure` replace it."""
+    """Return a Bokeh figure in the style of the pages; `settings` of Bokeh replace parts of the style."""
     settings = _DEFAULTS | settings
     if isinstance(settings["tools"], str):
         settings["active_scroll"] = "xwheel_zoom" if "xwheel_zoom" in settings["tools"] else "wheel_zoom"
@@ -140,8 +140,8 @@ def make_figure(name: str, **settings: object) -> figure:
 
 
 def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UIElement]) -> Tabs:
-    """Return tabs, the one with the index `active` open, that never widen the page.
-    Bodies of closed tabs are not laid out."""
+    """Return tabs with titles and bodies, which never widen the page; `active` is the index of the open one.
+    The bodies of closed tabs are not laid out."""
     tabs = [TabPanel(child=body, title=title) for title, body in zip(titles, bodies)]
     narrow = {"grid-template-columns": "minmax(0, 1fr)", "min-width": "0"}
     made = Tabs(tabs=tabs, active=active, name=name, sizing_mode="stretch_width", styles=narrow)
@@ -174,7 +174,7 @@ def on_click(made: figure, handle: Callable[[Tap], None]) -> None:
 
 
 def add_hover(made: figure, *rows: tuple[str, str], renderers: Sequence[object], mode: str = "mouse") -> None:
-    """Add a tooltip to these drawings of a figure; each row is a name and a format of Bokeh."""
+    """Add a tooltip to the drawings `renderers` of a figure; each row is a name and a format of Bokeh."""
     tooltips, drawn = list(rows), list(renderers)
     made.add_tools(HoverTool(tooltips=tooltips, mode=mode, renderers=drawn, line_policy="nearest"))
 
@@ -327,7 +327,7 @@ def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
 
 
 def envelope(t: Series, value: Series, std: Series) -> dict[str, Series]:
-    """Return the columns t, value, low and high of a series (n,) and its band value -+ std, to be drawn.
+    """Return the columns t, value, low and high that draw a series (n,) with its band from -std to +std.
     Long series are thinned: of each bin of successive samples, those with the lowest and highest value stay,
     so that crests and troughs stay visible. The band encloses that of all samples of the bin."""
     low, high = value - std, value + std

@@ -33,7 +33,7 @@ def nearest(positions: NDArray[np.floating], requested: float) -> int:
 
 
 class CubeRecord:
-    """A cube, finished or not: pages show its single steps, and series from a thinned copy, `preview`."""
+    """A cube, finished or not, and its thinned copy `preview`, from which pages show steps and series."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path).absolute()

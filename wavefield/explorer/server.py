@@ -35,7 +35,7 @@ _HOSTS = ("localhost", "127.0.0.1")
 
 
 def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
-    """Return x, y, metres, of the node nearest to the middle of the grid, with a value if any has one."""
+    """Return x, y, metres, of the node nearest to the middle of the grid that has a value at this step."""
     x, y = np.meshgrid(record.x - record.x.mean(), record.y - record.y.mean())
     distance = np.hypot(x, y)
     with suppress(StoreError):  # the map reports a damaged step

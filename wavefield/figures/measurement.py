@@ -156,7 +156,7 @@ def _draw_densities(
 
 
 def _displacements(cube: xr.Dataset, factor: float) -> dict[str, np.ndarray]:
-    """Return the displacements in one step, (time, y, x), in metres times a factor, by their labels."""
+    """Return dx, dy, dz in one step, (time, y, x), in metres times a factor, by their labels."""
     rate = float(cube.attrs["frame_rate"])
     return {label: factor / rate * cube[name].values for name, label in _DISPLACEMENTS.items()}
 

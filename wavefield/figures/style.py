@@ -105,7 +105,7 @@ def draw_map(
     title: str = "",
 ) -> None:
     """Draw a map of a field (y, x) times a factor, with a labelled colour bar.
-    `scale` holds the values at the lower and upper end of the colours; they default to -+ a percentile."""
+    `scale` holds the values at the lower and upper end of the colours; by default they are balanced."""
     values = factor * np.asarray(field.transpose("y", "x").values, float)
     if scale is None:
         half = limit(values)

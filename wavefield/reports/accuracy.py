@@ -131,7 +131,7 @@ def pair_items(run: Run) -> list[Item]:
 
 
 def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
-    """Return a row for each error in `Run.pair_statistics`: name, rms in cm and px, part beyond, paper."""
+    """Return a row for each error in `Run.pair_statistics`: name, rms in cm and px, outliers, paper."""
     rows: list[tuple[str, ...]] = []
     for k in range(found.sizes["error"]):
         error = found.isel(error=k)

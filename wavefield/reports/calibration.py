@@ -82,7 +82,7 @@ def write_calibration(
 def _figures(
     calibration: Calibration, observations: Observations, fit: Fit, surface: FlatSurface | None
 ) -> Iterator[CalibrationPicture]:
-    """Yield key, title and figure of the pictures of the page; `surface` is the flat target, triangulated."""
+    """Yield name, title and figure of each picture; `surface` is the flat target, triangulated."""
     with suppress(RigError):  # cameras without a common field
         seen = common_field(calibration.rig.cameras.values())
         yield "rig", "The rig, and the water that all cameras see", rig_views(calibration.rig, seen)
@@ -95,7 +95,7 @@ def _figures(
 
 
 def _parameters(calibration: Calibration, observations: Observations, fit: Fit) -> dict[str, Any]:
-    """Return the lens parameters, value and standard uncertainty, and the pose of each camera, by camera."""
+    """Return lens parameters and pose of each camera, with their standard uncertainties, by camera."""
     std, covariance = np.sqrt(np.diag(fit.covariance)), fit.covariance
     out: dict[str, Any] = {}
     for c, name in enumerate(observations.cameras):

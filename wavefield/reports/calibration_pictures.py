@@ -37,7 +37,8 @@ def _image_frame(axes: Axes, size: tuple[int, int]) -> None:
 
 
 def _draw_arrows(axes: Axes, pixel: Array, residual: Array, length: float, width: float, colour: str) -> None:
-    """Draw residuals (n, 2), px, as arrows at the pixels (n, 2), the 90 % quantile `length` px long."""
+    """Draw residuals (n, 2), px, as arrows at the pixels (n, 2).
+    The 90 % quantile of the residuals is drawn `length` px long; `width` is that of `quiver`."""
     large = float(np.percentile(np.hypot(*residual.T), 90)) or 1e-9
     arrows = axes.quiver(
         *pixel.T, *residual.T, angles="xy", scale_units="xy", scale=large / length, width=width, color=colour
@@ -47,7 +48,7 @@ def _draw_arrows(axes: Axes, pixel: Array, residual: Array, length: float, width
 
 
 def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
-    """Draw two maps of the residuals of the camera with this index: each point, and means in cells."""
+    """Draw the residuals of the camera with the index `camera`: of each point, and their means in cells."""
     o = observations
     rows = o.camera == camera
     pixel, miss, size = o.pixel[rows], fit.residual[rows], o.sizes[camera]
@@ -152,7 +153,8 @@ def target_points(
 
 
 def draw_found(result: TargetRig) -> Figure | None:
-    """Draw the nodes found in the flat or best image of each camera; None if all were read from tables."""
+    """Draw the nodes found in an image of each camera, the flat pose if there is one.
+    The result is None if the points of all cameras were read from tables."""
     poses = {
         camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))
         for camera, found in result.views.items()

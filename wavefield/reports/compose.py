@@ -83,7 +83,7 @@ def write_report(
 
 
 def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSection]]:
-    """Return functions that draw the sections; a light sheet has no elevation, waves and distributions."""
+    """Return functions that draw the sections of a report; that of a light sheet has no waves."""
     numbers = RunNumbers(run)
     builders: list[Callable[[], ReportSection]] = [partial(result, numbers), partial(attention, run, verdict)]
     of_surface = [] if in_light_sheet(run) else [spectra, nonlinearity, distributions]
@@ -96,7 +96,7 @@ def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSe
 def build_all(
     builders: list[Callable[[], ReportSection]], progress: Callable[[int, int], None] | None
 ) -> list[ReportSection]:
-    """Return the sections that `builders` draw; `progress` receives the number drawn and that of all."""
+    """Return the sections that `builders` draw; `progress` is called with the number drawn and of all."""
     sections = []
     for k, build in enumerate(builders):
         if progress:

@@ -141,7 +141,7 @@ def elevation(run: Run) -> ReportSection:
 
 
 def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
-    """Return the probes of a run, or None and why they are absent if the experiment names some."""
+    """Return the probes of a run and "", or None and the reason why probes that are named are absent."""
     try:
         probes = run.probes
     except WavefieldError as error:

@@ -52,7 +52,7 @@ def small(value: float, unit: str) -> str:
 
 
 def thinned(cube: xr.Dataset, *names: str) -> xr.Dataset:
-    """Return the named variables of a cube, loaded, at so many steps as give `MAX_VALUES` values each."""
+    """Return variables of a cube, loaded, at every n-th step: at most about `MAX_VALUES` values each."""
     size = cube.sizes["time"] * cube.sizes["y"] * cube.sizes["x"]
     return cube[list(names)].isel(time=slice(None, None, -(-size // MAX_VALUES))).load()
 

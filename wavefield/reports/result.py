@@ -142,7 +142,7 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
 
 
 def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str]) -> list[tuple[str, str]]:
-    """Return a table row with the percentage of `n_in_view` values measured without each camera, if any."""
+    """Return a table row on the values that were measured without a camera, in percent of `n_in_view`."""
     shares = []
     for index, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(index) & ~Quality.FEWER_CAMERAS)
