@@ -86,9 +86,9 @@ class FolderWatch:
         if not sending:
             return None
         top = min(self.newest[name] for name in sending) - 1
-        for number in (top, top - 1):  # a camera may still be writing its newest frame
+        for number in range(top, max(top - 2, after), -1):  # a camera may still be writing its newest frame
             images = {name: both for name in sending if (both := self._read(name, number)) is not None}
-            if number > after and len(images) == len(sending):
+            if len(images) == len(sending):
                 written = max(_written(self._frames[name][number + 1]) for name in sending)
                 return FrameSet(number, images, written)
         return None
