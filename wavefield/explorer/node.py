@@ -165,7 +165,7 @@ class NodePanel:
             f"t {record.time[place.step]:.3f} s:</b> "
             f"{', '.join(_reading(name, values) for name in (*self._main, *others))}; "
             f"{KINDS[kind][1] if kind < len(KINDS) else 'nothing measured'}."
-            + (f" Series: nearest node of the preview, one of {every} along x and y." if every > 1 else "")
+            + (f" Series: nearest node of the preview (one in {every} along x and y)." if every > 1 else "")
             + (f" Dashed: {parts.plain(near.probe.item())}, {away:.0f} cm away." if near is not None else "")
         )
 
