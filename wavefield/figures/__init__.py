@@ -1,4 +1,4 @@
-"""Pictures of cubes, waves and rigs.
+"""Pictures of cubes, waves and rigs, as matplotlib figures.
 
 Each function takes xarray datasets (a cube, one step of it, a group of a wave store) and returns a figure.
 """
