@@ -7,7 +7,7 @@ then reads the cube itself.
 
 import math
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,11 +87,10 @@ def _chunk(group: CubeGroup, start: int) -> Path:
     return Path(group.store_path.store.root / _GROUP / f"fields/c/0/0/0/{number}")
 
 
-def _thinned(fields: Mapping[str, NDArray[Any]], every: int, scales: Iterable[float]) -> NDArray[np.int16]:
-    """Return fields (n, ny, nx) at every `every`-th node along x and y: int16, (variable, y, x, n).
-    The values are divided by `scales`, one for each field; missing values are `MISSING`."""
-    nodes = [values[:, ::every, ::every].astype(np.float32) for values in fields.values()]
-    out = [in_16_bits(values, scale) for values, scale in zip(nodes, scales)]
+def _thinned(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np.int16]:
+    """Return fields (n, ny, nx) at the nodes of a preview: int16, (variable, y, x, n)."""
+    nodes = [fields[name][:, :: thin.every, :: thin.every].astype(np.float32) for name in thin.names]
+    out = [in_16_bits(values, scale) for values, scale in zip(nodes, thin.scales)]
     return np.ascontiguousarray(np.moveaxis(np.array(out), 1, -1))
 
 
@@ -101,8 +100,7 @@ def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any
     preview = _open(group, thin, "r+")
     if preview is not None:
         _chunk(group, start).unlink(missing_ok=True)  # Zarr would first read this file, which may be damaged
-        ordered = {name: np.asarray(fields[name]) for name in thin.names}
-        thinned = _thinned(ordered, thin.every, thin.scales)
+        thinned = _thinned(fields, thin)
         preview[..., start : start + thinned.shape[-1]] = thinned
 
 
@@ -113,8 +111,7 @@ def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDA
     with suppress(Exception):  # as above
         if _chunk(group, start).is_file():
             return np.ascontiguousarray(preview[..., start:stop])
-    fields = {name: read_steps(group, name, start, stop) for name in thin.names}
-    return _thinned(fields, thin.every, thin.scales)
+    return _thinned({name: read_steps(group, name, start, stop) for name in thin.names}, thin)
 
 
 def read_steps(group: CubeGroup, name: str, start: int, stop: int) -> NDArray[Any]:
