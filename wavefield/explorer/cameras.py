@@ -84,13 +84,6 @@ MAX_SCREEN_PX = 1000  # along the longer side of an image, which is sent to the 
 _MOTION = ("u", "v", "w")
 Fields = dict[str, NDArray[np.floating]]
 Image = NDArray[Any]
-_SQUARE = """
-const [width, height] = made.tags, [w, h] = [made.inner_width, made.inner_height]
-if (!width || !w || !h) return
-const px = Math.max(width / w, height / h), dx = (px * w - width) / 2, dy = (px * h - height) / 2
-made.x_range.setv({start: -dx, end: width + dx, reset_start: -dx, reset_end: width + dx})
-made.y_range.setv({start: height + dy, end: -dy, reset_start: height + dy, reset_end: -dy})
-"""
 
 
 def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
@@ -107,7 +100,7 @@ def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
 
 def keep_pixels_square(made: figure) -> None:
     """Let the browser adapt the axes of a figure to its size, so that the pixels of the image stay square."""
-    square = CustomJS(args={"made": made}, code=_SQUARE)
+    square = CustomJS(args={"made": made}, code=parts.asset("square.js"))
     for changed in ("inner_width", "inner_height", "tags"):
         made.js_on_change(changed, square)
 

@@ -9,7 +9,6 @@ from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import LinearColorMapper, Select
 from bokeh.plotting import figure
-from jinja2 import Environment
 from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
@@ -33,7 +32,7 @@ def lights_table(lights: tuple[StatusLight, ...]) -> str:
     cells = {(light.name, light.camera): light for light in of_cameras}
     names = list(dict.fromkeys(light.name for light in of_cameras))
     others = [light for light in lights if light not in of_cameras]
-    template = Environment(autoescape=True).from_string(parts.asset("lights.html"))
+    template = parts.template("lights.html")
     return template.render(cameras=cameras, names=names, cells=cells, others=others)
 
 

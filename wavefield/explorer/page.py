@@ -12,7 +12,6 @@ from bokeh.document import Document
 from bokeh.events import DocumentReady
 from bokeh.layouts import column, row
 from bokeh.models import Button, CustomJS, NumericInput, Select, Slider, Toggle
-from jinja2 import Environment
 from markupsafe import Markup
 
 from wavefield.errors import WavefieldError
@@ -39,26 +38,6 @@ _STATUS_WORDS = {
 }
 _COLOURS = {"note": "#00664b", "remark": "#7a5200", "grave": "#a83d00"}
 _CODE = re.compile(r"`([^`]+)`")
-_VERDICT = Environment(autoescape=True).from_string(
-    """<details><summary>Verdict: <b style="color: {{ colour }}">{{ words }}</b>
-{%- if count %} ({{ count }}){% endif %}</summary><ul style="margin: 2px 0; padding-left: 18px">
-{% for remark in remarks %}<li>{{ remark }}</li>{% endfor %}</ul></details>"""
-)
-# Playback in the browser. It requests a step when the one before it has arrived, so that requests do not
-# pile up.
-_PLAY = """
-const next = () => {
-  if (!play.active) return
-  const wait = Math.max(0, 80 - (performance.now() - (play._asked ?? 0)))
-  setTimeout(() => {
-    if (!play.active) return
-    play._asked = performance.now()
-    step.value = step.value >= step.end ? step.start : step.value + 1
-  }, wait)
-}
-if (cb_obj === play) { play.label = play.active ? "Pause" : "Play"; next() }
-else if (play.active) requestAnimationFrame(next)
-"""
 _STEP = "step.value = Math.max(step.start, Math.min(step.end, step.value + by))"
 _LINK = 'history.replaceState(null, "", location.pathname + "?" + cb_obj.text)'
 _WRAP = {"flex-wrap": "wrap"}
@@ -118,7 +97,9 @@ class LookPage:
         for name, by in (("back", -1), ("forward", 1)):
             step = CustomJS(args={"step": self.controls["step"], "by": by}, code=_STEP)
             self.controls[name].js_on_click(step)
-        play = CustomJS(args={name: self.controls[name] for name in ("play", "step")}, code=_PLAY)
+        play = CustomJS(
+            args={name: self.controls[name] for name in ("play", "step")}, code=parts.asset("play.js")
+        )
         self.controls["play"].js_on_change("active", play)
         self.map.sources["image"].js_on_change("data", play)
         self.link = parts.text_line("link", place.query())
@@ -384,7 +365,7 @@ class LookPage:
             return
         count = sum(remark.weight != "note" for remark in found.remarks)
         remarks = [Markup(_CODE.sub(r"<code>\1</code>", parts.plain(remark))) for remark in found.remarks]
-        self.verdict.text = _VERDICT.render(
+        self.verdict.text = parts.template("verdict.html").render(
             colour=_COLOURS[found.weight], words=WORDS[found.weight], count=count, remarks=remarks
         )
 

@@ -30,7 +30,7 @@ from bokeh.models import (
     UIElement,
 )
 from bokeh.plotting import figure
-from jinja2 import Environment
+from jinja2 import Environment, Template
 from numpy.typing import NDArray
 
 from wavefield.figures.display import KINDS, POSITIVE, SIGNED
@@ -87,10 +87,6 @@ _KEYS = (
     ("Home End", "first, last step"),
 )  # fmt: skip
 _LOADING = '<span class="loading" role="status">Loading …</span>'
-_SPINNER = """.loading::before { content: ""; display: inline-block; width: 14px; height: 14px;
-margin: 0 8px -2px 0; border: 2px solid #d0d7de; border-top-color: #0072B2; border-radius: 50%;
-animation: turn 1s linear infinite; }
-@keyframes turn { to { transform: rotate(1turn); } }"""
 _DEFAULTS: dict[str, object] = {
     "sizing_mode": "stretch_width", "toolbar_location": None, "tools": "xpan,xwheel_zoom,reset",
     "min_border_left": 62, "min_border_right": 12, "min_border_top": 4,
@@ -105,7 +101,9 @@ class LazyPanel:
 
     def __init__(self, module: str, kind: str, *arguments: object) -> None:
         loading = text_line("", _LOADING, html=True)
-        loading.stylesheets = [_SPINNER]  # the style sheet of the page does not apply inside Bokeh's widgets
+        loading.stylesheets = [
+            asset("spinner.css")
+        ]  # the style sheet of the page does not apply inside Bokeh's widgets
         self.body = column(loading, sizing_mode="stretch_width")
         self._module, self._kind, self._arguments = module, kind, arguments
         self.made: Any = None  # the panel, when its tab has been opened
@@ -185,6 +183,11 @@ def asset(name: str) -> str:
     return files("wavefield.explorer").joinpath(f"assets/{name}").read_text(encoding="utf-8")
 
 
+def template(name: str) -> Template:
+    """Return the HTML template in the file `name` of the folder `assets`; it escapes what it inserts."""
+    return Environment(autoescape=True).from_string(asset(name))
+
+
 def apply_template(
     document: Document,
     heading: str,
@@ -195,7 +198,7 @@ def apply_template(
     """Set the HTML template of a Bokeh document, whose root elements are named `places`.
     `aspect` is the width over the height of the map, which then fits into the height of the window."""
     document.title = f"{heading} – wavefield {command}"
-    document.template = Environment(autoescape=True).from_string(asset("page.html"))
+    document.template = template("page.html")
     document.template_variables.update(
         heading=heading, command=command, places=list(places), css=asset("page.css"), script=asset("page.js"),
         keys=_KEYS if command == "look" else (), aspect=f"{aspect:.4f}",
