@@ -171,8 +171,6 @@ def two_level_picture(camera, mesh, depth, diameter, extent, marks, picture=Pict
             i, j = (2 * np.rint((v / mesh - odd) / 2).astype(int) + odd for v in (x, y))
             dx, dy = x - i * mesh, y - j * mesh
             out = np.hypot(dx, dy) < diameter / 2
-            for (a, b), shape in zip(marks, shapes(dx, dy)):
-                out = np.where((i == a) & (j == b), shape, out)
             i0, i1, j0, j1 = extent
             out = (i >= i0) & (i <= i1) & (j >= j0) & (j <= j1) & out
             for k, (a, b) in enumerate(marks):
@@ -225,19 +223,6 @@ def dots(shape, mesh, diameter, bright=False):
         i, j = np.clip(np.rint(x / mesh), 0, nx - 1), np.clip(np.rint(y / mesh), 0, ny - 1)
         dot = np.hypot(x - i * mesh, y - j * mesh) < diameter / 2
         return np.where(dot, 1.0, 0.0) if bright else np.where(dot, 0.0, 1.0)
-
-    return inside
-
-
-def dots_with_rings(shape, mesh, diameter, rings, hole, bright=False):
-    """Reflectance of a grid of dots, those at some nodes with a hole of a fraction of the diameter."""
-    plain = dots(shape, mesh, diameter, True)
-
-    def inside(x, y):
-        out = plain(x, y)
-        for i, j in rings:
-            out = np.where(np.hypot(x - i * mesh, y - j * mesh) < hole * diameter / 2, 0.0, out)
-        return out if bright else 1.0 - out
 
     return inside
 

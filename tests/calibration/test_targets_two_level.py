@@ -8,7 +8,7 @@ from wavefield.calibration import Target, find_target
 from wavefield.errors import CalibrationError
 
 MESH, DEPTH, DIAMETER, EXTENT = 0.0075, 0.002, 0.0032, (-12, 12, -10, 10)
-MARKS = (0, 0), (4, 0)
+MARKS = (0, 1), (1, 0)
 TARGET = Target("two-level", MESH, depth=DEPTH, diameter=DIAMETER)
 
 
@@ -30,22 +30,15 @@ def dots_in_view(camera, margin):
     [(0, 0, 0, (0.0, 0.0), 0.6), (35, 180, -4, (0.01, 0.01), 3.0), (45, 200, 30, (-0.03, 0.02), 6.0)],
 )
 def test_both_levels_are_found_from_any_side(tilt, turn, roll, at, read):
-    check(camera_at((416, 320), tilt, turn, roll, 0.8, 2150.0, at), read, MARKS)
+    check(camera_at((416, 320), tilt, turn, roll, 0.8, 2150.0, at), read)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_marks_may_be_between_the_dots(seed):
-    draw = np.random.default_rng(seed)
-    tilt, turn, roll = (draw.uniform(0, 35), *draw.uniform(0, 360, 2)) if seed else (0, 0, 0)
-    check(camera_at((416, 320), tilt, turn, roll, 0.8, 2150.0), 1.0, ((0, 1), (1, 0)))
-
-
-def check(camera, read, marks):
-    points = find_target(picture(camera, read, marks), TARGET)
+def check(camera, read):
+    points = find_target(picture(camera, read), TARGET)
     exact = np.stack(camera.project(points.node[:, 0] * MESH, points.node[:, 1] * MESH, points.z), -1)
     error = np.hypot(*(points.pixel - exact).T)
     assert (error < 0.5).all()  # no dot is taken for another
-    missed = dots_in_view(camera, 14.0) - set(marks) - set(map(tuple, points.node.tolist()))
+    missed = dots_in_view(camera, 14.0) - set(map(tuple, points.node.tolist()))
     assert len(missed) <= 0.01 * len(points)
     assert np.sqrt((error**2).mean() / 2) < 0.05
     np.testing.assert_array_equal(points.z, np.where(points.node[:, 1] % 2, -DEPTH, 0.0))
@@ -55,9 +48,6 @@ def test_a_target_without_its_marks_is_refused_with_what_was_found():
     camera = camera_at((320, 256), 30.0, 0.0, 0.0, 0.8, 1700.0)
     with pytest.raises(CalibrationError, match=r"not both in view .* dots were found"):
         find_target(picture(camera, marks=((99, 99), (98, 98))), TARGET)
-    far = camera_at((320, 256), 5.0, 0.0, 0.0, 0.8, 1080.0)
-    with pytest.raises(CalibrationError, match=r"dots are 4\.\d px wide: .* five"):
-        find_target(picture(far), TARGET)
     with pytest.raises(CalibrationError, match="no two levels"):
         find_target(np.random.default_rng(0).integers(0, 255, (200, 200)).astype(np.uint8), TARGET)
     with pytest.raises(CalibrationError, match="needs its depth"):

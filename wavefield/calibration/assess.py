@@ -1,5 +1,6 @@
 """Check the views before a calibration, and assess the rig after it, with a sentence for each problem."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -70,9 +71,8 @@ def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> F
 
 
 def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, str], Array]:
-    """Compute how far matched nodes lie from their epipolar lines, for each pair of cameras.
-    Returns, by pair of camera names, the signed distances (m,), px, in the image of the second camera. Pairs
-    that saw no common node are left out."""
+    """Return, by pair of cameras, signed distances (m,), px, of nodes from their epipolar lines.
+    The distances are in the image of the second camera. Pairs that saw no common node are left out."""
     o = observations
     key = o.pose * len(o.nodes) + o.node
     out = {}
@@ -97,9 +97,8 @@ def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float
 def residual_summary(
     observations: Observations, fit: Fit, rig: Rig, reference: str
 ) -> tuple[dict[str, Any], FlatSurface | None]:
-    """Summarise the residuals of the fit for the calibration's report page.
-    Returns a nested dict (residuals of each camera and view, epipolar distances of each pair, flatness of the
-    target) and the triangulated nodes of the pose `reference`, or None if too few nodes were triangulated."""
+    """Return the residuals of cameras, views and pairs as a nested dict, for the report page.
+    The second result is the triangulated nodes of the pose `reference`, or None if they are too few."""
     o = observations
     cameras = {}
     for c, name in enumerate(o.cameras):
@@ -147,8 +146,7 @@ MIN_STD = 1e-4  # px: no image gives a smaller uncertainty
 
 
 def usable_views(views: Views, findings: Findings) -> UsableViews:
-    """Select the views that have enough nodes and the same image size as most views of their camera.
-    Returns the selected points by camera and pose. The function adds each rejected view to `findings`."""
+    """Select views with enough nodes and the most frequent image size of their camera; note the others."""
     usable: UsableViews = {}
     for name, by_pose in views.items():
         size = _common_size(name, by_pose, findings)
@@ -174,14 +172,12 @@ def _common_size(
 ) -> tuple[int, int] | None:
     """Return the most frequent image size (width, height) of a camera; None if it has no views.
     If sizes differ, the function adds a problem to `findings`."""
-    sizes: dict[tuple[int, int], list[str]] = {}
-    for pose, points in by_pose.items():
-        sizes.setdefault((int(points.size[0]), int(points.size[1])), []).append(pose)
+    sizes = {pose: (int(points.size[0]), int(points.size[1])) for pose, points in by_pose.items()}
     if not sizes:
         return None
-    common = max(sizes, key=lambda s: len(sizes[s]))
-    if len(sizes) > 1:
-        odd = [f"{pose} ({s[0]} x {s[1]})" for s in sizes if s != common for pose in sizes[s]]
+    common = Counter(sizes.values()).most_common(1)[0][0]
+    odd = [f"{pose} ({s[0]} x {s[1]})" for pose, s in sizes.items() if s != common]
+    if odd:
         findings.problems.append(
             f"the images of {name} have different sizes, most {common[0]} x {common[1]}, but "
             f"{', '.join(odd)}: take all views with the same settings of the camera"
@@ -190,8 +186,7 @@ def _common_size(
 
 
 def _finite(points: TargetPoints) -> TargetPoints:
-    """Remove points whose position or uncertainty is not finite.
-    Uncertainties below `MIN_STD` are raised to it."""
+    """Remove points whose position or uncertainty is not finite; raise uncertainties to `MIN_STD`."""
     finite = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
     return replace(
         points,
@@ -209,11 +204,8 @@ def calibrate_each(
     flat: str,
     findings: Findings,
 ) -> dict[str, SingleCamera]:
-    """Calibrate each camera alone.
-    Returns the calibrated cameras by name. The function adds a problem to `findings` for each camera whose
-    views do not suffice, and removes views in which the points are not a plane grid from the argument
-    `usable`. `mesh` is in metres; `origin` is the position (x, y) of node (0, 0), metres; `flat` names the
-    pose on z = 0."""
+    """Calibrate each camera alone; problems are added to `findings`, bad views are removed from `usable`.
+    `mesh`, metres, is the distance of nodes, `origin`, metres, the position of node (0, 0)."""
     single: dict[str, SingleCamera] = {}
     for name, views in usable.items():
         if not views:
@@ -245,10 +237,8 @@ def calibrate_each(
 def consistent_cameras(
     single: dict[str, SingleCamera], usable: UsableViews, mesh: float, findings: Findings
 ) -> dict[str, SingleCamera]:
-    """Select the cameras that agree with each other on the poses of the target.
-    Returns these cameras by name; if no two agree, only the camera with the most views. Views that contradict
-    the other cameras are removed from the arguments `single` and `usable`, and are noted in `findings`.
-    `mesh` is in metres."""
+    """Return the cameras that agree on the poses of the target, or else the one camera with the most views.
+    Views that contradict the other cameras are removed from `single` and `usable`. `mesh` is in metres."""
     consistency = compare_poses(single, mesh)
     _report_inconsistency(consistency, single, mesh, findings)
     for name, pose in consistency.wrong_views:
@@ -272,8 +262,7 @@ def consistent_cameras(
 def _report_inconsistency(
     consistency: PoseConsistency, single: Mapping[str, SingleCamera], mesh: float, findings: Findings
 ) -> None:
-    """Add a problem to `findings` for each camera that contradicts the others or shares no view with them.
-    The problem says so if mirrored images explain the contradiction. `mesh` is in metres."""
+    """Add a problem to `findings` for each camera that contradicts the others or shares no view with them."""
     right = [name for name in single if name not in consistency.wrong_cameras]
     for name in consistency.wrong_cameras:
         flipped = compare_poses({**{n: single[n] for n in right}, name: mirrored(single[name])}, mesh)
@@ -303,9 +292,7 @@ def assess_rig(
     findings: Findings,
 ) -> None:
     """Check a fitted rig against the limits `LIMITS`, and add problems and notes to `findings`.
-    `errors` holds the predicted uncertainties. `target_std` is the standard uncertainty of the target's
-    nodes, metres. `camera_distance` holds distances of cameras from the origin that the user measured by
-    hand, metres."""
+    `camera_distance` holds distances from the origin that the user measured, metres."""
     for c, name in enumerate(o.cameras):
         stated = camera_distance.get(name)
         if stated:

@@ -31,8 +31,8 @@ TERMS: dict[str, tuple[str, ...]] = {
 
 
 def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
-    """Return the rotation R exp(v) and its derivatives (3, 3, 3) with respect to the components of v.
-    R is `rotation` (3, 3), and v is the rotation vector `vector` (3,), rad."""
+    """Return the rotation R exp(v), where R is `rotation` and v `vector`, rad, and its derivatives (3, 3, 3)
+    by v."""
     R, jacobian = cv2.Rodrigues(np.asarray(vector, float))
     derivative = np.asarray(jacobian, float).reshape(3, 3, 3)
     return rotation @ np.asarray(R, float), rotation @ derivative
@@ -48,14 +48,13 @@ class ParameterLayout:
     pose: tuple[int | None, ...]  # Per pose: where its six parameters start in x; None for a fixed pose
 
     def pose_step(self, p: int, x: Array) -> Array:
-        """Return the rotation vector and the translation (6,) by which x (p,) moves the pose of index p.
-        They are zero for a fixed pose."""
+        """Return the rotation vector and translation (6,) by which x (p,) moves pose p; zero for a fixed
+        pose."""
         k = self.pose[p]
         return np.zeros(6) if k is None else x[k : k + 6]
 
     def with_pose(self, name: str, free: bool) -> "ParameterLayout":
-        """Return a copy with one more pose of the target, called `name`.
-        If `free` is true, the pose has six new parameters; if not, the pose is fixed."""
+        """Return a copy with one more pose, called `name`, with six new parameters if it is free."""
         names = [f"{name} {part}" for part in ("R1", "R2", "R3", "x", "y", "z") if free]
         first = len(self.names) if free else None
         return replace(self, names=(*self.names, *names), pose=(*self.pose, first))
@@ -68,8 +67,7 @@ def layout(
     placed: Sequence[int] = (),
 ) -> ParameterLayout:
     """Assign a position in the parameter vector to each unknown of the joint fit.
-    `models` holds the free lens terms of each camera. `reference` and `placed` are indices of poses of the
-    target that stay fixed; poses without observations are fixed too."""
+    `models` holds the free lens terms of each camera; the poses `reference` and `placed` stay fixed."""
     names: list[str] = []
     lens, camera = [], []
     for c, name in enumerate(observations.cameras):
@@ -87,8 +85,7 @@ def layout(
 
 
 def stepped(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
-    """Return the geometry that results if the parameters x (p,) are applied to the geometry `start`.
-    `plan` gives the meaning of each parameter. x = 0 leaves the geometry unchanged."""
+    """Return the geometry after the parameters x (p,) are applied to `start`; x = 0 changes nothing."""
     lens, R, T = start.lens.copy(), start.R.copy(), start.T.copy()
     pose_R, pose_t = start.pose_R.copy(), start.pose_t.copy()
     for c, columns in enumerate(plan.lens):
@@ -122,9 +119,8 @@ def predict(geometry: Geometry, observations: Observations) -> Array:
 def linearised(
     start: Geometry, plan: ParameterLayout, x: Array, observations: Observations
 ) -> tuple[Array, Array, Array]:
-    """Predict the pixels of the observed nodes at the parameters x (p,), with their derivatives.
-    Returns pixels (n, 2), derivatives with respect to the parameters (n, 2, p), and derivatives with respect
-    to the position of the node on the target (n, 2, 3), px per metre."""
+    """Predict the pixels (n, 2) of the observed nodes at the parameters x (p,).
+    The other results are derivatives by parameter (n, 2, p) and by the node's position (n, 2, 3), px/m."""
     o = observations
     now = stepped(start, plan, x)
     local = (o.nominal + now.offset)[o.node]
@@ -168,9 +164,8 @@ def linearised(
 def covariance_to_dict(
     names: tuple[str, ...], covariance: Array, cameras: tuple[str, ...]
 ) -> dict[str, list[str] | list[list[float]]]:
-    """Convert the part of a covariance (p, p) that belongs to cameras to lists, for the rig file.
-    `names` names all parameters. The result holds the names of the cameras' parameters and the rows of the
-    lower triangle of their covariance."""
+    """Return the names of the cameras' parameters and the lower triangle of their covariance, for the rig
+    file."""
     columns = [k for k, name in enumerate(names) if name.rsplit(" ", 1)[0] in cameras]
     part = covariance[np.ix_(columns, columns)]
     rows = [[float(f"{v:.12g}") for v in row[: k + 1]] for k, row in enumerate(part)]
@@ -182,11 +177,9 @@ HUBER_LIMIT = 4.0  # standard deviations beyond which the loss grows linearly; f
 
 
 class Whitener:
-    """Makes residuals uncorrelated if the nodes of the target are displaced from their nominal positions.
-    All views of a node share its displacement, so their residuals have the covariance C = I + target_std^2 B
-    B^T. Calling the object multiplies by C^(-1/2). B, the argument `by_node` (n, 2, 3), holds the derivatives
-    of the normalised residuals with respect to the node's position, 1/m. `node` (n,) is the node of each
-    observation, and `target_std` is in metres."""
+    """Makes residuals uncorrelated if nodes are displaced by `target_std`, metres: multiplies by C^(-1/2). C
+    = I + target_std^2 B B^T, where B (n, 2, 3), 1/m, holds the derivatives of residuals by the node's
+    position."""
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
         n, count = len(node), int(node.max()) + 1
@@ -240,11 +233,8 @@ def minimise(
     limit: float | None,
     tolerance: float,
 ) -> tuple[Array, float]:
-    """Minimise Huber's loss by the method of Levenberg and Marquardt, starting at x (p,).
-    `residual` returns the residuals at x, and `with_jacobian` the residuals and their Jacobian. `limit` is
-    the residual beyond which the loss is linear; None means four robust standard deviations of the residuals.
-    The iteration ends when the predicted relative decrease of the loss is below `tolerance`, or after
-    `MAX_ITERATIONS`. Returns the parameters (p,) and the last limit."""
+    """Minimise Huber's loss by the method of Levenberg and Marquardt from x (p,); return x and the limit.
+    Loss is linear beyond `limit`; None means four robust standard deviations of the residuals."""
     damping = 1e-4
     diagonal = np.zeros_like(x)
     scale = 0.0
@@ -298,11 +288,9 @@ def fit(
     noise_scale: float | None = None,
     placed: Sequence[int] = (),
 ) -> Fit:
-    """Fit all cameras and all poses of the target to all observations at once (bundle adjustment).
-    The fit starts from the geometry `start`. `models`, `reference` and `placed` are as in `layout`.
-    `target_std` is the standard uncertainty of the nodes' positions on the target, metres. Huber's loss
-    limits the weight of residuals beyond four standard deviations. `noise_scale` is this standard deviation
-    in units of the stated uncertainty of each pixel; if it is None, the residuals give it."""
+    """Fit all cameras and poses of the target to all observations (bundle adjustment with Huber's loss).
+    `target_std`, metres, is that of nodes; `noise_scale` that of pixels in units of their stated
+    uncertainty."""
     o = observations
     plan = layout(o, models, reference, placed)
     start = replace(start, offset=np.zeros_like(start.offset))

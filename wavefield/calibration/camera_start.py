@@ -5,7 +5,7 @@ frame, or one camera's frame in another's.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import cv2
@@ -20,23 +20,22 @@ Pose = tuple[Array, Array]  # rotation (3, 3), translation (3,), metres
 
 
 def camera_to_camera(a: Pose, b: Pose) -> Pose:
-    """Return the transformation (R, t) from camera a's frame to camera b's frame.
-    The arguments are the poses (R, t) of the same target in the frames of camera a and camera b."""
+    """Return the transformation from camera a's frame to b's, from poses of one target in both frames."""
     (Ra, ta), (Rb, tb) = a, b
     R = Rb @ Ra.T
     return R, tb - R @ ta
 
 
 def mean_pose(poses: Iterable[Pose]) -> Pose:
-    """Average similar poses (R, t).
-    Returns the mean of the rotations, made orthogonal, and the median of the translations."""
+    """Average similar poses: the mean of the rotations, made orthogonal, and the median of the
+    translations."""
     rotations, translations = zip(*poses, strict=True)
     U, _, V = np.linalg.svd(np.mean(np.stack(rotations), axis=0))
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V, np.median(translations, axis=0)
 
 
 def angle_between(A: Array, B: Array) -> float:
-    """Return the angle of the rotation that turns orientation A (3, 3) into orientation B (3, 3), degrees."""
+    """Return the angle between two orientations (3, 3), degrees."""
     chord = np.linalg.norm(A - B) / np.sqrt(8.0)
     return float(np.degrees(2.0 * np.arcsin(min(chord, 1.0))))
 
@@ -57,9 +56,8 @@ class SingleCamera:
 
 
 def homography(plan: Array, pixel: Array) -> Array | None:
-    """Fit a homography (3, 3) from the target's plane to the image, without outliers.
-    `plan` (n, 2) are positions of the nodes on the target, metres, and `pixel` (n, 2) their pixels. Returns
-    None if there are fewer than six nodes, if all are on a line, or if fewer than half of them fit."""
+    """Fit a homography (3, 3) from positions on the plane (n, 2), metres, to pixels (n, 2), without outliers.
+    None if fewer than six nodes, or fewer than half of them, fit, or if all are on a line."""
     if len(plan) < 6 or np.linalg.matrix_rank(plan - plan.mean(0), tol=1e-9) < 2:
         return None
     cv2.setRNGSeed(1)
@@ -70,9 +68,8 @@ def homography(plan: Array, pixel: Array) -> Array | None:
 
 
 def focal_length(homographies: list[Array], centre: Array) -> float | None:
-    """Compute the focal length, px, from homographies of a plane in several poses (Zhang 2000).
-    Pixels are assumed to be square, with the principal point at `centre` (2,), px. Returns None if the
-    homographies do not determine the focal length."""
+    """Compute the focal length, px, from homographies of a plane in several poses (Zhang 2000), or return
+    None. Pixels are square; `centre` (2,), px, is the principal point."""
     shift = np.eye(3)
     shift[:2, 2] = -centre
     rows = []
@@ -88,8 +85,7 @@ def focal_length(homographies: list[Array], centre: Array) -> float | None:
 
 
 def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
-    """Return a lens without distortion, with focal length f (px) and its principal point at mid-image.
-    The results are the lens terms in the order of `LENS` (12,) and the camera matrix (3, 3)."""
+    """Return the terms (12,) and the camera matrix (3, 3) of an ideal lens centred on the image."""
     cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
     lens = np.zeros(len(LENS))
     lens[:4] = f, f, cx, cy
@@ -97,8 +93,8 @@ def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
 
 
 def plane_pose(H: Array, K: Array) -> Pose:
-    """Return the pose (R, t) of a plane in a camera's frame, metres.
-    H (3, 3) is the homography from the plane (metres) to the image, and K (3, 3) is the camera matrix."""
+    """Return the pose of a plane from its homography H (3, 3), metres to pixels, and the camera matrix K (3,
+    3)."""
     h = np.linalg.solve(K, H)
     h /= 0.5 * (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1]))
     if h[2, 2] < 0.0:  # the plane must be in front of the camera
@@ -109,9 +105,8 @@ def plane_pose(H: Array, K: Array) -> Pose:
 
 
 def calibrate_single(observations: Observations) -> SingleCamera:
-    """Calibrate one camera alone: compute start values, then fit its lens and the poses of the target.
-    Start values come from Zhang's method, or from the known positions of the nodes if there are any. Raises a
-    CalibrationError if the views do not determine the focal length."""
+    """Calibrate one camera alone, from Zhang's method or from nodes of known position.
+    Raises a CalibrationError if the views do not determine the focal length."""
     o = observations
     start, poses = _from_known_heights(o) if o.placed else _from_planes(o)
     g = _first_fit(o, start, poses).geometry
@@ -122,16 +117,14 @@ def calibrate_single(observations: Observations) -> SingleCamera:
 
 
 def _first_fit(o: Observations, start: Geometry, poses: list[int]) -> Fit:
-    """Fit one camera and the poses of the target whose indices are in `poses`.
-    The principal point is fitted only if there are at least three poses."""
+    """Fit one camera and the given poses of the target; the principal point needs three poses."""
     used = o.only(np.isin(o.pose, poses))
     terms = ("f", "k1") if len(poses) < 3 else START_TERMS
     return fit(used, start, [terms], poses[0], placed=o.placed)
 
 
 def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
-    """Return the geometry of one camera from its lens (12,) and the poses of the target in its frame.
-    `poses` holds (R, t) by the index of the pose. The pose with the lowest index defines the world frame."""
+    """Return the geometry of one camera from its lens (12,) and the target's poses in its frame, by index."""
     pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
     for p, (R, t) in poses.items():
         pose_R[p], pose_t[p] = R, t
@@ -141,9 +134,7 @@ def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
 
 
 def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
-    """Compute start values for one camera by Zhang's method, from views of a plane in unknown poses.
-    Returns the geometry and the indices of the poses that were found. Raises a CalibrationError if no view
-    shows a plane, or if the views do not determine the focal length."""
+    """Start one camera by Zhang's method; return the geometry and the indices of the poses found."""
     (name,), (size,) = o.cameras, o.sizes
     maps: dict[int, Array] = {}
     depth: dict[int, float] = {}
@@ -177,9 +168,8 @@ def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
 
 
 def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
-    """Compute start values for one camera from nodes with known positions in the physical frame.
-    The focal length is the best of 28 trial values. Returns the geometry and the indices of the poses that
-    were found. Raises a CalibrationError if the nodes are in one plane or do not fit a camera."""
+    """Start one camera from nodes of known position; return the geometry and the indices of the poses
+    found."""
     (name,), (size,) = o.cameras, o.sizes
     rows = np.isin(o.pose, o.placed)
     points, pixel = o.nominal[o.node[rows]], o.pixel[rows]
@@ -221,7 +211,7 @@ def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
 
 
 def _in_frame_of_pose(geometry: Geometry, pose: int) -> Geometry:
-    """Return the geometry of one camera with the target's frame in the pose of index `pose` as the world."""
+    """Return the geometry of one camera with the target's frame in the given pose as the world."""
     Q, o = geometry.pose_R[pose], geometry.pose_t[pose]
     return replace(
         geometry,
@@ -245,44 +235,34 @@ class PoseConsistency:
     unlinked: list[str]  # Cameras that share no pose of the target with another
 
 
-@dataclass(frozen=True)
-class _Pair:
-    """Whether two cameras agree on the poses of the target, overall and for each pose."""
-
-    consistent: bool  # Whether most of their common poses agree
-    good: Mapping[str, bool] = field(default_factory=dict)  # By pose: whether the cameras agree on it
-
-
 def transforms_by_pose(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
-    """Return, by common pose of the target, the transformation from camera a's frame to camera b's frame.
-    If the cameras agree, all these transformations (R, t) are equal."""
+    """Return, by common pose, the transformation from camera a's frame to b's; equal if the cameras agree."""
     return {pose: camera_to_camera(a.poses[pose], b.poses[pose]) for pose in a.poses if pose in b.poses}
 
 
 def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsistency:
-    """Find views and cameras that contradict the others about the poses of the target.
-    `cameras` holds the cameras, each calibrated alone, by name. `mesh` is the distance of the target's nodes,
-    metres. The largest group of cameras that agree with each other is taken to be right."""
+    """Find views and cameras that contradict the others about the poses of the target; `mesh` is in
+    metres."""
     names = list(cameras)
-    compared = {(a, b): _compare_pair(cameras[a], cameras[b], mesh) for a, b in combinations(names, 2)}
-    pairs = {names: pair for names, pair in compared.items() if pair is not None}
+    pairs = [(a, b) for a, b in combinations(names, 2) if set(cameras[a].poses) & set(cameras[b].poses)]
     unlinked = [name for name in names if not any(name in pair for pair in pairs)] if len(names) > 1 else []
+    compared = {(a, b): _compare_pair(cameras[a], cameras[b], mesh) for a, b in pairs}
+    agreeing = {pair: good for pair, good in compared.items() if good is not None}
     # assume that the largest group of consistent cameras is right
-    links = [names for names, pair in pairs.items() if pair.consistent]
-    group = max((_linked(name, links) for name in names), key=len, default=[])
+    group = max((_linked(name, list(agreeing)) for name in names), key=len, default=[])
     return PoseConsistency(
-        _wrong_views(names, pairs),
+        _wrong_views(names, agreeing),
         [name for name in names if name not in group and name not in unlinked],
         unlinked,
     )
 
 
-def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> _Pair | None:
-    """Test whether two cameras agree on the poses of the target; None if they share no pose.
-    `mesh` is the distance of the target's nodes, metres."""
+def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> dict[str, bool] | None:
+    """Return whether two cameras agree on each common pose; None if they agree on too few of them.
+    With a single common pose they cannot disagree. `mesh` is in metres."""
     common = transforms_by_pose(a, b)
     if len(common) < 2:
-        return _Pair(True) if common else None
+        return {}
     angles = np.array([[angle_between(A, B) for B, _ in common.values()] for A, _ in common.values()])
     medoid = list(common.values())[int(np.argmin(np.median(angles, axis=1)))][0]
     shift = np.median([t for _, t in common.values()], axis=0)
@@ -291,17 +271,17 @@ def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> _Pair | None
     offset = {pose: float(np.linalg.norm(_at_target(a, b, pose, medoid, shift))) / mesh for pose in common}
     good = {pose: angle[pose] <= MAX_ANGLE and offset[pose] <= MAX_SHIFT for pose in common}
     count = sum(good.values())
-    if count > len(good) / 2 or (count >= 2 and len(good) <= 4):
-        return _Pair(True, good)
-    return _Pair(False)
+    return good if count > len(good) / 2 or (count >= 2 and len(good) <= 4) else None
 
 
-def _wrong_views(names: Sequence[str], pairs: Mapping[tuple[str, str], _Pair]) -> list[tuple[str, str]]:
-    """Return the views (camera, pose) that contradict every other camera that saw the same pose.
-    If only two cameras saw a pose and contradict each other, the result holds both views."""
+def _wrong_views(
+    names: Sequence[str], pairs: Mapping[tuple[str, str], Mapping[str, bool]]
+) -> list[tuple[str, str]]:
+    """Return the views (camera, pose) that contradict every other camera; both views if only two
+    contradict."""
     comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): agreement with each partner
-    for cameras, pair in pairs.items():
-        for pose, good in pair.good.items():
+    for cameras, agreement in pairs.items():
+        for pose, good in agreement.items():
             for name in cameras:
                 comparisons.setdefault((name, pose), []).append(good)
     wrong = {view for view, good in comparisons.items() if not any(good)}
@@ -314,8 +294,7 @@ def _wrong_views(names: Sequence[str], pairs: Mapping[tuple[str, str], _Pair]) -
 
 
 def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
-    """Return the camera `name` and all cameras that are linked to it, directly or through other cameras.
-    `links` holds pairs of names of cameras that agree."""
+    """Return the camera `name` and all cameras that are linked to it through pairs of agreeing cameras."""
     group = [name]
     for member in group:
         partners = [b if a == member else a for a, b in links if member in (a, b)]
@@ -324,9 +303,8 @@ def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) -> Array:
-    """Return the displacement (3,), metres, between the target's origins that cameras a and b found.
-    It is in b's frame, without its component along b's sight line. R and t transform from camera a's frame to
-    camera b's frame."""
+    """Return how far the target's origins that two cameras found are apart across b's sight line (3,),
+    metres."""
     expected = R @ a.poses[pose][1] + t
     observed = b.poses[pose][1]
     along = observed / np.linalg.norm(observed)
@@ -341,9 +319,7 @@ def mirrored(camera: SingleCamera) -> SingleCamera:
 
 
 def linked_cameras(cameras: Mapping[str, SingleCamera], first: str) -> dict[str, Pose]:
-    """Return the transformation (R, t) from the frame of camera `first` to that of each camera, by name.
-    Cameras are linked by common poses of the target, if necessary through other cameras. Cameras without such
-    a link are left out."""
+    """Return the transformation from the frame of camera `first` to that of each linked camera, by name."""
     out: dict[str, Pose] = {first: (np.eye(3), np.zeros(3))}
     while True:
         rest = [b for b in cameras if b not in out]
@@ -366,10 +342,8 @@ class PhysicalFrame:
 
 
 def physical_frame(observations: Observations, flat: str, findings: Findings) -> PhysicalFrame:
-    """Choose the poses of the target that define the physical frame.
-    These are the poses with known positions if there are any, else the pose named `flat`, else the pose that
-    most cameras saw. In the last case z = 0 is unknown, and the function adds a problem or a note to
-    `findings`."""
+    """Choose the poses that define the physical frame: those of known position, `flat`, or the most seen
+    one."""
     o = observations
     if o.placed:
         return PhysicalFrame(o.placed[0], placed=o.placed)
@@ -391,8 +365,7 @@ def physical_frame(observations: Observations, flat: str, findings: Findings) ->
 def start_geometry(
     observations: Observations, single: Mapping[str, SingleCamera], frame: PhysicalFrame
 ) -> Geometry:
-    """Compute start values of the joint fit: all cameras and poses of the target in the physical frame.
-    `single` holds the cameras, each calibrated alone, by name."""
+    """Return all cameras and poses of the target in the physical frame, as start values of the joint fit."""
     o = observations
     reference = o.poses[frame.reference]
     first = max(single, key=lambda n: (reference in single[n].poses, len(single[n].poses)))

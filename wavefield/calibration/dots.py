@@ -1,9 +1,7 @@
-"""Find a grid of dots, with or without three rings that mark its axes, and the centres of the dots.
+"""Find a grid of dots and the centres of the dots.
 
 A blob is a bright connected shape in an image, a candidate for a dot.
 """
-
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -28,27 +26,16 @@ from wavefield.robust import robust_std
 MIN_AREA = 6.0  # px^2 within the outline through a blob's outermost pixels, as of a dot four pixels wide
 # area of a blob over that of the ellipse with its moments: dot 1, square 0.95, triangle 0.83
 MIN_FULLNESS = 0.7
-MAX_HOLE = 0.6  # brightness of a ring's hole over that of the ring; the holes of blurred rings are not dark
 MIN_CORE = 0.25  # of a dot's contrast; brighter pixels belong to the dot
 MAX_WEIGHT = 0.8  # of a dot's brightness: brighter pixels have equal weight, as paint and light are uneven
 
 
-@dataclass(frozen=True)
-class Blobs:
-    """Bright, nearly elliptic shapes in an image."""
-
-    centre: Array  # (n, 2): Centroids, px
-    area: Array  # (n,): Areas with holes filled, px^2
-    ring: Mask  # (n,): Whether the middle is dark
-
-
-def find_blobs(image: Image) -> Blobs:
-    """Find nearly elliptic shapes that are brighter than their surroundings.
-    Shapes that touch the edge of the image are left out."""
+def find_blobs(image: Image) -> tuple[Array, Array]:
+    """Return centroids (n, 2), px, and areas (n,), px^2, of nearly elliptic bright shapes not at the edge."""
     ground = cv2.blur(image, (2 * (max(image.shape) // 16) + 1,) * 2)
     binary = (cv2.GaussianBlur(image, (0, 0), 1.0) > ground + 0.15 * np.std(image)).astype(np.uint8)
     height, width = image.shape
-    centre, area, ring = [], [], []
+    centre, area = [], []
     outlines, levels = cv2.findContours(binary, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     around_hole = np.reshape(levels, (-1, 4))[:, 3] >= 0 if outlines else np.zeros(0, bool)
     for outline, of_hole in zip(outlines, around_hole, strict=True):
@@ -59,19 +46,14 @@ def find_blobs(image: Image) -> Blobs:
             continue
         spread = np.sqrt(max(m["mu20"] * m["mu02"] - m["mu11"] ** 2, 1e-9)) / m["m00"]
         if m["m00"] > MIN_FULLNESS * 4 * np.pi * spread:
-            middle = m["m10"] / m["m00"], m["m01"] / m["m00"]
-            dark, bright = np.percentile(image[y : y + h, x : x + w], [5, 90])
-            hole = image[round(middle[1]), round(middle[0])] - dark < MAX_HOLE * (bright - dark)
-            centre.append(middle)
+            centre.append((m["m10"] / m["m00"], m["m01"] / m["m00"]))
             area.append(m["m00"])
-            ring.append(hole)
-    return Blobs(np.array(centre, float).reshape(-1, 2), np.array(area, float), np.array(ring, bool))
+    return np.array(centre, float).reshape(-1, 2), np.array(area, float)
 
 
 def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
-    """Compute the centroids of bright dots, corrected for uneven light.
-    `node` (n, 2) are the indices of the dots, and `pixel` (n, 2) their approximate positions. Returns the
-    centroids (n, 2), px, and their standard uncertainties from image noise (n,), px."""
+    """Return the centroids (n, 2), px, of bright dots, corrected for uneven light, and their noise (n,),
+    px."""
     windows = _windows(image, node, pixel)
     level = np.array([np.percentile(value, [10, 98]) for _, _, value in windows])
     middle, extent = pixel.mean(0), np.ptp(pixel)
@@ -101,8 +83,7 @@ def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
 
 
 def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes, Array]]:
-    """Return the columns, rows and grey values of the pixels around each dot.
-    Each window extends over half a mesh on every side of the dot."""
+    """Return columns, rows and grey values of the pixels within half a mesh of each dot."""
     half_mesh = 0.5 * SmoothMap(node, pixel).slopes(node)
     inverse = np.linalg.inv(np.moveaxis(half_mesh, 1, 2))
     reach = np.ceil(np.abs(half_mesh).sum(1)).astype(int)
@@ -119,8 +100,8 @@ def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes
 
 
 def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
-    """Return the connected part of a mask that is nearest to the point `at` (2,), dilated by three pixels.
-    x and y (n,) are the columns and rows of the mask's pixels; the result is a mask (n,)."""
+    """Return the part of a mask (n,) of pixels x, y that is nearest to the point `at`, dilated by three
+    pixels."""
     row, column = y - y.min() + 4, x - x.min() + 4
     raster = np.zeros((row.max() + 5, column.max() + 5), np.uint8)
     raster[row, column] = mask
@@ -132,9 +113,8 @@ def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
 
 
 def centroid_bias(node: Nodes, pixel: Array, radius: float) -> Array:
-    """Compute how far perspective shifts the centroid of a round dot from the image of its centre.
-    Returns the centroid minus the image of the centre, (n, 2), px. `radius` is the radius of the dots in
-    meshes."""
+    """Return the centroid of a round dot in perspective minus the image of its centre, (n, 2), px.
+    `radius` is that of the dots in meshes."""
     smooth = SmoothMap(node, pixel)
     rings, spokes = 4, 12
     r = radius * np.sqrt((np.arange(rings) + 0.5) / rings)  # rings of equal area
@@ -156,10 +136,8 @@ def shape_of(target: Target) -> tuple[int, int]:
 def number_right_handed(
     image: Image | None, node: Nodes, pixel: Array, shape: tuple[int, int]
 ) -> tuple[Nodes, tuple[str, ...]]:
-    """Number the nodes of a complete grid so that x and y are right-handed seen from above.
-    Returns the new indices (n, 2) and notes. If several numberings give the same image, x is taken to the
-    right in the image, and a note says so. `shape` is the number of nodes along x and y. `image` is given
-    only for a chessboard, where the square between nodes (0, 0) and (1, 1) must be dark."""
+    """Number the nodes of a complete grid right-handed seen from above, x to the right if several ways
+    remain. `image` is given only for a chessboard, where the square between (0, 0) and (1, 1) is dark."""
     last = np.array(shape) - 1
     if cross(*SmoothMap(node, pixel).slopes(last[None] / 2)[0]) > 0:
         node = np.stack([node[:, 0], last[1] - node[:, 1]], -1)
@@ -195,9 +173,8 @@ def _first_square_dark(image: Image, node: Nodes, pixel: Array, shape: tuple[int
 def dot_centres(
     image: Image, node: Nodes, pixel: Array, target: Target, meshes: int = 1
 ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Compute the centres of dots, and correct them for perspective if the target states their diameter.
-    Returns the centres (n, 2), px, their standard uncertainties from image noise (n,), px, and notes.
-    `meshes` is the distance in meshes between dots whose indices differ by one."""
+    """Return centres (n, 2), px, corrected for perspective if the diameter is known, their noise (n,), and
+    notes. `meshes` is the distance of dots whose indices differ by one."""
     centre, noise = centroids(image, meshes * node, pixel)  # with windows of one mesh
     if target.diameter is None:
         return centre, noise, ("centroids not corrected for perspective: state the target's diameter",)
@@ -208,9 +185,8 @@ def dot_centres(
 def make_points(
     image: Image, node: Nodes, pixel: Array, notes: tuple[str, ...] = (), noise: Array | float = 0.0
 ) -> TargetPoints:
-    """Make target points from nodes (n, 2) and their pixels (n, 2), and leave out outliers.
-    The standard uncertainty of a point is the larger of `noise`, px, and the scatter of all points about a
-    smooth map. Raises a CalibrationError if the points are not on a plane."""
+    """Make target points without outliers; their std is the larger of `noise`, px, and the scatter about a
+    map."""
     try:
         smooth = SmoothMap(node, pixel)
     except ValueError:
@@ -226,63 +202,30 @@ def make_points(
     return TargetPoints(node[inlier], pixel[inlier], std[inlier], (width, height), notes)
 
 
-def numbered_from_rings(node: Nodes, pixel: Array, rings: Nodes) -> Nodes:
-    """Renumber nodes (n, 2) so that the ring at the corner of the three rings is node (0, 0).
-    `rings` holds the present indices of the rings. x and y point to the two other rings, right-handed seen
-    from above. Raises a CalibrationError unless there are three rings, along one row and one column of the
-    grid."""
-    if len(rings) != 3:
-        raise CalibrationError(
-            f"{len(rings)} of the three rings that mark origin, x and y were found; all must be in view "
-            "and in focus"
-        )
-    smooth = SmoothMap(node, pixel)
-    for k in range(3):
-        origin, one, two = np.roll(rings, -k, 0)
-        for x_arm, y_arm in ((one - origin, two - origin), (two - origin, one - origin)):
-            x, y = np.sign(x_arm), np.sign(y_arm)
-            slopes = smooth.slopes(origin[None])[0]
-            along_axes = np.abs(x).sum() == np.abs(y).sum() == 1 and x @ y == 0
-            if along_axes and cross(x @ slopes, y @ slopes) < 0:  # image rows run downwards
-                return np.asarray((node - origin) @ np.stack([x, y], -1))
-    raise CalibrationError("the three rings do not stand at a right angle along the rows and columns of dots")
-
-
 def find_dots(image: Image, target: Target) -> TargetPoints:
-    """Find the centres of a rectangular grid of round dots, dark on bright or bright on dark.
-    A grid with three rings may be partly out of view; without rings, all of it must be in view. Raises a
-    CalibrationError if the grid or its rings are not found."""
+    """Find the centres of a whole rectangular grid of round dots, dark on bright or bright on dark."""
     grids = []
     for polarity in (image, 255.0 - image):
-        blobs = find_blobs(polarity)
-        lattice = dot_lattice(blobs, polarity.shape[::-1])
+        lattice = dot_lattice(*find_blobs(polarity), polarity.shape[::-1])
         if lattice is not None:
-            grids.append((polarity, blobs, lattice))
+            grids.append((polarity, lattice))
+    nx, ny = shape_of(target)
     if not grids:
-        shape = "" if target.shape is None else "{} x {} ".format(*target.shape)
-        raise CalibrationError(f"no grid of {shape}dots was found; it must be in view and in focus")
-    polarity, blobs, lattice = max(grids, key=lambda grid: len(grid[2]))
-    node, pixel = lattice.node, lattice.pixel
-    notes: tuple[str, ...] = ()
-    if target.ringed:
-        ring = blobs.ring[cKDTree(blobs.centre).query(pixel)[1]]
-        node, pixel = numbered_from_rings(node[~ring], pixel[~ring], node[ring]), pixel[~ring]
-    else:
-        node, notes = _numbered_from_shape(node, pixel, shape_of(target))
-    pixel, noise, more = dot_centres(polarity, node, pixel, target)
+        raise CalibrationError(f"no grid of {nx} x {ny} dots was found; it must be in view and in focus")
+    polarity, lattice = max(grids, key=lambda grid: len(grid[1]))
+    node, notes = _numbered_from_shape(lattice.node, lattice.pixel, (nx, ny))
+    pixel, noise, more = dot_centres(polarity, node, lattice.pixel, target)
     return make_points(image, node, pixel, (*notes, *more), noise)
 
 
 def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> tuple[Nodes, tuple[str, ...]]:
-    """Number the nodes of a grid of which all dots were found, from the number of dots along x and y.
-    Returns the indices (n, 2) and notes. Raises a CalibrationError if the grid has another shape than
-    `shape`."""
+    """Number the dots of a complete grid from the numbers of dots along x and y; return indices and notes."""
     node = node - node.min(0)
     span = node.max(0) + 1
     if sorted(span) != sorted(shape) or len(node) != np.prod(shape):
         raise CalibrationError(
             f"no grid of {shape[0]} x {shape[1]} dots was found (the largest regular grid has {len(node)}); "
-            "all of it must be in view and in focus, or three rings must number it (origin_mark: ring); "
+            "all of it must be in view and in focus; "
             "grids whose rows are set off by half a dot (asymmetric) are not supported"
         )
     if tuple(span) != shape:  # the lattice's first axis is the target's second
@@ -290,10 +233,9 @@ def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> t
     return number_right_handed(None, node, pixel, shape)
 
 
-def dot_lattice(blobs: Blobs, size: tuple[int, ...]) -> TargetLattice | None:
-    """Return the largest lattice that grows from a dot near the middle and two of its neighbours.
-    `size` is the image's (width, height), px. Returns None if no lattice has enough dots."""
-    centre = blobs.centre
+def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:
+    """Return the largest lattice that grows from a dot near the middle; None if no lattice has enough
+    dots."""
     if len(centre) < LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)
@@ -304,7 +246,7 @@ def dot_lattice(blobs: Blobs, size: tuple[int, ...]) -> TargetLattice | None:
         if pair is None:
             continue
         lattice = TargetLattice(centre[k], *pair)
-        lattice.grow(Candidates(centre, blobs.area, 1.0), size)
+        lattice.grow(Candidates(centre, area, 1.0), size)
         if best is None or len(lattice) > len(best):
             best = lattice
     return best if best and len(best) >= LIMITS.min_nodes and np.ptp(best.node, axis=0).min() >= 2 else None

@@ -45,10 +45,9 @@ def _typical_strength(strength: Array) -> float:
 
 
 def crossings(image: Image, scale: float) -> Candidates:
-    """Find points of an image that may be crossings of bright strings.
-    They are local maxima of the weaker principal curvature of the smoothed image. This curvature vanishes
-    along a line; only crossings and blobs are curved in both directions. `scale` is the standard deviation of
-    the Gaussian that smooths the image, px."""
+    """Find maxima of the weaker principal curvature of an image smoothed with `scale` px (standard
+    deviation). The curvature vanishes along a line; only crossings and blobs are curved in both
+    directions."""
     r = int(np.ceil(4 * scale))
     t = np.arange(-r, r + 1)
     g0 = np.exp(-0.5 * (t / scale) ** 2)
@@ -80,8 +79,8 @@ def crossings(image: Image, scale: float) -> Candidates:
 
 @compiled()
 def _weaker_curvature(xx: Image, yy: Image, xy: Image) -> Image:
-    """Return the weaker principal curvature at each pixel; it is positive on bright crossings and blobs.
-    xx, yy and xy are the second derivatives of the image."""
+    """Return the weaker principal curvature at each pixel from second derivatives; positive on bright
+    crossings."""
     half = np.float32(0.5)
     out = np.empty_like(xx)
     for i in range(xx.shape[0]):
@@ -112,22 +111,21 @@ def most_central(points: Array, count: int) -> list[int]:
 
 
 def around(node: Nodes, steps: Nodes) -> Nodes:
-    """Return all nodes (k, 2) that are one of the steps (m, 2) away from one of the nodes (n, 2).
-    Each node occurs once."""
+    """Return all different nodes (k, 2) that are one of the steps (m, 2) away from the nodes (n, 2)."""
     return np.unique((node[:, None] + steps).reshape(-1, 2), axis=0)
 
 
 def _windows(table: Array, node: Nodes) -> Array:
-    """Return the entries of a table within two indices of each node (m, 2), as (m, 25, ...).
-    Node (0, 0) is at index (REACH, REACH) of the table."""
+    """Return the entries of a table (with node (0, 0) at REACH) within two indices of each node, (m, 25,
+    ...)."""
     index = node[:, None] + WINDOW + REACH
     out: Array = table[index[..., 0], index[..., 1]]
     return out
 
 
 class TargetLattice:
-    """A lattice of nodes with their pixels, which grows from one node at `start` (2,), px.
-    `e1` and `e2` (2,) are the steps in the image, px, from this node to its neighbours along i and j."""
+    """A lattice of nodes with their pixels, which grows from a node at `start` (2,) with steps e1 and e2,
+    px."""
 
     def __init__(self, start: Array, e1: Array, e2: Array) -> None:
         self.place = np.full((2 * REACH + 1, 2 * REACH + 1, 2), np.nan)  # [i + REACH, j + REACH], px
@@ -161,9 +159,8 @@ class TargetLattice:
         return empty[((empty >= 2) & (empty < 2 * REACH - 1)).all(1)] - REACH
 
     def predict(self, node: Nodes) -> tuple[Array, Array]:
-        """Predict where nodes (m, 2) are in the image, from the nodes found within two indices of them.
-        Returns pixels (m, 2) and mesh vectors (m, 2, 2), px. The prediction fits a quadratic surface to the
-        pixels found, with weights that fall with distance."""
+        """Predict pixels (m, 2) and mesh vectors (m, 2, 2), px, of nodes from those found within two
+        indices."""
         di, dj = WINDOW.astype(float).T
         basis = np.stack([np.ones(25), di, dj, di * dj, di * di, dj * dj], -1)
         window = _windows(self.place, node)  # (m, 25, 2)
@@ -178,8 +175,8 @@ class TargetLattice:
         return fit[:, 0], fit[:, 1:3]
 
     def grow(self, candidates: Candidates, size: tuple[int, ...]) -> None:
-        """Add the candidates that are near predicted nodes, until none is left to add.
-        `size` is the image's (width, height), px."""
+        """Add the candidates near predicted nodes, until none is left; `size` is the image's (width,
+        height)."""
         tree = cKDTree(candidates.pixel)
         used = np.zeros(len(candidates.pixel) + 1, bool)
         used[-1] = True  # the tree's index for "none"
@@ -219,10 +216,8 @@ MIN_NODES_FOR_CUBIC = 40  # four times the ten coefficients of a cubic
 
 
 class SmoothMap:
-    """A smooth map from node indices (n, 2) to pixels (n, 2), fitted without outliers.
-    A homography gives ideal pixels. A polynomial of these adds the lens distortion; it is cubic if there are
-    at least `MIN_NODES_FOR_CUBIC` nodes, and else linear. Raises a ValueError if no homography fits the
-    nodes."""
+    """A smooth map from node indices (n, 2) to pixels (n, 2): a homography and, for many nodes, a cubic.
+    Outliers have little weight. Raises a ValueError if no homography fits the nodes."""
 
     def __init__(self, node: ArrayLike, pixel: ArrayLike) -> None:
         node, pixel = np.asarray(node, float), np.asarray(pixel, float)
@@ -250,8 +245,7 @@ class SmoothMap:
         self.spread = spread(self.misfit)  # px
 
     def inlier(self, std: Array | float = 0.0) -> Mask:
-        """Return a mask (n,) of the fitted nodes: true if a node is not an outlier.
-        `std` is the standard uncertainty of the nodes' pixels, px."""
+        """Return a mask (n,) of the fitted nodes that are not outliers; `std` is that of their pixels, px."""
         out: Mask = self.misfit < np.maximum(OUTLIER_DEVIATIONS * np.hypot(self.spread, std), MIN_OUTLIER_PX)
         return out
 
@@ -277,8 +271,7 @@ class SmoothMap:
 
 
 def mesh_length(node: Nodes, pixel: Array) -> float:
-    """Return the distance in the image between neighbouring nodes where it is shortest, px.
-    This is the first percentile of all such distances, or 4 px if no nodes are neighbours."""
+    """Return the first percentile of distances between neighbouring nodes, px; 4 if there are none."""
     distance, near = cKDTree(node).query(node, k=5, distance_upper_bound=1.01)
     a, b = np.nonzero(np.isfinite(distance) & (distance > 0))
     if not len(a):

@@ -5,14 +5,14 @@ else from the mean surface of many instants.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.calibration.observations import MIN_MATCHES
-from wavefield.calibration.platform import PlatformFit, find_horizon, fit_platform, jackknife_std, sway
+from wavefield.calibration.platform import PlatformFit, find_horizon, fit_platform, jackknife_std
 from wavefield.calibration.relative_pose import (
     MAX_EPIPOLAR_ERROR,
     Pixels,
@@ -31,7 +31,6 @@ from wavefield.text import spell_uncertain
 
 HORIZON_IMAGES = 12  # images of each camera that are searched for the horizon
 TILT_STD = 1.0  # degrees, of the mean surface, if the instants are too few to determine it
-MAX_SWAY = 0.05  # degrees rms; it moves water at a distance of 36 m, seen from 12 m above, by 0.4 px
 
 
 @dataclass(frozen=True)
@@ -40,17 +39,14 @@ class Levelled:
 
     rig: Rig  # z = 0 on the mean surface, z up
     tilt: float  # Angle by which the z axis was turned, degrees
-    tilt_std: (
-        float  # Standard uncertainty of the tilt; NaN without a horizon if all instants show the same waves
-    )
+    tilt_std: float  # Standard uncertainty of the tilt; NaN of one instant without a horizon
     height: float  # Height of the first camera above the mean surface, metres
-    height_std: float  # Without the error of a stated distance; NaN if all instants show the same waves
+    height_std: float  # Without the error of a stated distance; NaN of one instant
     rms: float  # Rms elevation of the points about the mean surface, metres
     epipolar_error: float  # Median distance of the matches from their epipolar lines, px
     points: int  # Number of points used
     instants: int  # Number of instants used
     horizon: str  # Whether the horizon or the mean surface gave the level, in words
-    sway: float = float("nan")  # Rms roll or pitch from frame to frame, degrees; NaN without a horizon
 
     @property
     def sentence(self) -> str:
@@ -62,17 +58,7 @@ class Levelled:
             f"each other by {self.epipolar_error:.2f} px (median); {self.horizon}; the frame was turned by "
             f"{turned}; {next(iter(self.rig))} is {height} above "
             f"the mean surface; the water is within {100 * self.rms:.2g} cm (rms) of it"
-            f"{self._unknown}{self._moving}"
-        )
-
-    @property
-    def _moving(self) -> str:
-        """A clause on the roll and pitch of the cameras; empty if they are steady."""
-        if not self.sway > MAX_SWAY:
-            return ""
-        return (
-            f"; the cameras roll and pitch by {self.sway:.2f} degrees (rms), so that no single rig fits all "
-            "frames: z is wrong by that angle times the distance; measure from a fixed platform"
+            f"{self._unknown}"
         )
 
     @property
@@ -81,8 +67,7 @@ class Levelled:
         if np.isfinite(self.height_std):
             return ""
         which = "height" if np.isfinite(self.tilt_std) else "tilt and the height"
-        few = "one instant gives" if self.instants == 1 else "instants that show the same waves give"
-        return f"; {few} no uncertainty of the {which}: take instants over many wave periods"
+        return f"; one instant gives no uncertainty of the {which}: take instants over many wave periods"
 
 
 def level_on_water(
@@ -91,15 +76,9 @@ def level_on_water(
     horizons: Mapping[str, Array] | None = None,
     distance: float | None = None,
 ) -> Levelled:
-    """Bring z = 0 to the mean surface of moving water, from features that pairs of cameras match.
-
-    `matches` holds, for each instant and pair of cameras, the matched pixels in the first and the second
-    camera. `horizons` holds points of the horizon (n, 2), px, by camera. They give the vertical, unless the
-    mean surface contradicts them.
-
-    If the `distance` between the cameras (metres) is given, the fit also refines the pose of the second
-    camera, and the origin is below the cameras. Raises a RigError if too few sight lines meet.
-    """
+    """Bring z = 0 to the mean surface of moving water; `matches` holds pixels by pair of cameras, per
+    instant. With a `distance` of two cameras, metres, the second one is placed too, and the origin is below
+    them."""
     none = np.empty((0, 3))
     surfaces = [
         np.concatenate([none, *(points_of(rig[a], rig[b], pixels) for (a, b), pixels in by_pair.items())])
@@ -161,9 +140,8 @@ def _best_fit(
     horizons: Mapping[str, Array],
     distance: float | None,
 ) -> tuple[PlatformFit, tuple[float, float], str]:
-    """Fit the mean surface, with the horizon if it agrees with the surface.
-    Returns the fit, the standard uncertainties of the tilt (degrees) and the height (m), and a sentence that
-    says whether the horizon or the mean surface gave the level."""
+    """Fit the mean surface, with the horizon if it agrees; return the fit, its tilt and height std, a
+    sentence."""
     free = fit_platform(start, matches, {}, distance)
     std = jackknife_std(free, matches, {}, distance)
     if not horizons:
@@ -181,8 +159,8 @@ def _best_fit(
 
 
 def _epipolar_error(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> float:
-    """Return the median distance of matches from their epipolar lines, px.
-    Distances above `MAX_EPIPOLAR_ERROR` are left out. NaN if none is left."""
+    """Return the median distance of matches from their epipolar lines, px, without outliers; NaN without
+    any."""
     distances = [
         epipolar_distance(rig[a], rig[b], *p.T, *q.T)
         for by_pair in matches
@@ -275,6 +253,4 @@ def level_experiment(
         loaded = Rig({first: loaded[first], others[0]: second}, {**loaded.provenance, "placed": note})
     lines = {name: find_horizon(images, loaded[name]) for name, images in seen.items() if images}
     horizons = {name: line for name, line in lines.items() if line is not None}
-    found_level = level_on_water(loaded, matches, horizons, distance)
-    motions = [sway(images, found_level.rig[name]) for name, images in seen.items()]
-    return replace(found_level, sway=float(np.fmin.reduce(motions)))
+    return level_on_water(loaded, matches, horizons, distance)

@@ -34,8 +34,8 @@ MIN_PEAK = 6.0  # height of a significant peak, in standard deviations of the co
 
 
 def particles(image: Image, visible: Mask) -> Image:
-    """Remove the illumination from an image of particles, and limit the brightness of single particles.
-    The result has unit variance before the limit is applied, and is 0 outside the mask `visible`."""
+    """Remove the illumination from an image of particles, scale it to unit variance, and clip bright
+    particles."""
     weight = cv2.GaussianBlur(visible.astype(np.float32), (0, 0), LIGHT_SCALE)
     light = cv2.GaussianBlur(np.where(visible, image, np.float32(0)), (0, 0), LIGHT_SCALE)
     rest = np.where(visible, image - light / np.maximum(weight, 1e-3), np.float32(0))
@@ -90,8 +90,8 @@ def disparities(planes: Image) -> Array:
 
 
 def _centre(plane: Image) -> tuple[float, float]:
-    """Return the displacement (x, y) of the correlation peak from the middle of the plane, px.
-    Both are NaN if the peak is insignificant or at the window's edge."""
+    """Return the displacement (x, y) of the correlation peak, px; NaN if it is insignificant or at the
+    edge."""
     middle, peak = plane.shape[0] // 2, _peak(plane)
     background = plane[~cv2.dilate(peak.view(np.uint8), np.ones((9, 9), np.uint8)).view(bool)]
     if not background.size or plane.max() - np.median(background) < MIN_PEAK * background.std():
@@ -114,9 +114,8 @@ Read = Callable[[str, int], NDArray[np.generic] | None]  # reads the image of a 
 
 
 class SheetWindows:
-    """Measures the disparity of each pair of cameras in windows of the dewarped images.
-    `side` is the side of a window, px. `read` returns the image of a camera at an instant; correlations are
-    summed over all `instants`."""
+    """Disparities of pairs of cameras in windows of `side` px of the dewarped images, summed over
+    instants."""
 
     def __init__(self, rig: Rig, side: int, read: Read, instants: Sequence[int]) -> None:
         self.rig = rig
@@ -139,8 +138,8 @@ class SheetWindows:
         self._disparities = {pair: disparities(total.planes()) for pair, total in self._correlations.items()}
 
     def _add(self, read: Read, instants: Sequence[int], x: Array, y: Array) -> int:
-        """Add the correlations of all instants; x and y are the coordinates of the dewarped pixels, metres.
-        Returns the number of instants at which a pair of cameras has images."""
+        """Add the correlations of all instants at dewarped pixels x, y, metres; return the number of instants
+        used."""
         maps = {name: sight_map(self.rig[name], x, y) for name in self.rig}
         used = 0
         for k in instants:
@@ -156,8 +155,8 @@ class SheetWindows:
         return used
 
     def matches(self) -> dict[str, Array]:
-        """Return, by camera, the pixels (windows, 2) at which it sees the particles of each window.
-        NaN where the disparity is unknown."""
+        """Return, by camera, the pixels (windows, 2) of the same particles; NaN where the disparity is
+        unknown."""
         reference = self.pairs[0][0]
         out = {reference: self._pixels(reference, np.zeros((*self.x.shape, 2)))}
         out |= {name: self._pixels(name, shift) for (_, name), shift in self._disparities.items()}
@@ -267,9 +266,7 @@ def fit_sheet(
     read: Read, instants: Sequence[int], rig: Rig, progress: Callable[[int, int], None] | None = None
 ) -> LightSheet:
     """Find the light sheet from images of particles (Wieneke 2005, Exp. Fluids 39, 267).
-    `read` returns the image of a camera at an instant. Each of three passes measures the disparity, corrects
-    the cameras and moves z = 0 to the sheet; `progress` is called with (passes done, number of passes).
-    Raises a CalibrationError if too few windows show the same particles in two cameras."""
+    Each of three passes measures the disparity, corrects the cameras, and moves z = 0 to the sheet."""
     axes, origin, ambiguity = np.eye(3), np.zeros(3), 0.0
     check: RigCheck | None = None
     before = float("nan")

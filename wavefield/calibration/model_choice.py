@@ -25,9 +25,8 @@ class PredictedErrors:
 
 
 def predict_errors(observations: Observations, result: Fit, level: bool = True) -> PredictedErrors:
-    """Propagate the covariance of the fitted parameters to pixels and to z.
-    `level` is true if the calibration defines z = 0. The uncertainties are then those near z = 0, else those
-    where the target was."""
+    """Propagate the covariance of the fit to pixels and z: near z = 0 if it is known (`level`), else at the
+    target."""
     o = observations
     points = volume_points(o, result, level)
     _, J, by_point = project_points(o, result, points)
@@ -53,9 +52,8 @@ def predict_errors(observations: Observations, result: Fit, level: bool = True) 
 
 
 def project_points(observations: Observations, result: Fit, points: Array) -> tuple[Array, Array, Array]:
-    """Project points (n, 3), metres, of the physical frame with the fitted cameras.
-    Returns pixels (C, n, 2) in all C cameras, their derivatives with respect to the fit's parameters (C, n,
-    2, p), and their derivatives with respect to the points' positions (C, n, 2, 3), px per metre."""
+    """Project points (n, 3), metres, with all cameras: pixels (C, n, 2) and derivatives.
+    The derivatives are by parameter (C, n, 2, p) and by position of the point (C, n, 2, 3), px/m."""
     o = observations
     C, n = len(o.cameras), len(points)
     # treat the points as a target whose pose is fixed in the physical frame
@@ -67,9 +65,8 @@ def project_points(observations: Observations, result: Fit, points: Array) -> tu
 
 
 def volume_points(o: Observations, result: Fit, level: bool) -> Array:
-    """Return points (n, 3), metres, that fill the volume where the rig will be used.
-    They are within `HEIGHT` of z = 0 over the field that all cameras see, or over the target if there is no
-    such field. If z = 0 is unknown (`level` is false), they are positions of the target's nodes."""
+    """Return points (n, 3), metres, within `HEIGHT` of z = 0 in the common field; if not `level`, target
+    nodes."""
     g = result.geometry
     if not level:
         world = g.world(o)
@@ -97,8 +94,7 @@ EQUIVALENT_RATIO = 1.05  # of expected errors; below it, the model with fewer pa
 
 
 def terms_of(model: str) -> tuple[str, ...] | None:
-    """Split a camera model such as ``f tilt k1`` into its free terms; returns None for ``auto``.
-    Raises a CalibrationError if a term is unknown or ``f`` is missing."""
+    """Split a camera model such as ``f tilt k1`` into its free terms; None for ``auto``."""
     terms = tuple(model.split())
     if terms == ("auto",):
         return None
@@ -113,20 +109,11 @@ def choose_model(
     fit_model: Callable[[tuple[str, ...]], Fit],
     observations: Observations,
     level: bool,
-    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[str, Fit]:
-    """Choose the camera model with the least expected error where the rig will be used.
-    `fit_model` fits the rig with given free terms. Of models whose expected errors differ by less than 5 %,
-    the function takes the one with the fewest parameters. Returns the model's terms, separated by blanks, and
-    its fit. `level` is true if the calibration defines z = 0."""
+    """Return the camera model with the least expected error where the rig will be used, and its fit.
+    If expected errors differ by less than 5 %, the model with the fewest parameters is taken."""
     o, count = observations, 2 * len(observations)
-    fits: dict[str, Fit] = {}
-    for done, name in enumerate(CANDIDATES):
-        if progress:
-            progress(done, len(CANDIDATES))
-        fits[name] = fit_model(tuple(name.split()))
-    if progress:
-        progress(len(CANDIDATES), len(CANDIDATES))
+    fits = {name: fit_model(tuple(name.split())) for name in CANDIDATES}
 
     def bic(name: str) -> float:
         chi2 = max(fits[name].chi2, 1e-300)
@@ -142,8 +129,7 @@ def choose_model(
 
 
 def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: Array) -> dict[str, float]:
-    """Return the expected rms error of a pixel, px, of each model, over the points (n, 3), metres.
-    The error combines the uncertainty of the parameters with the difference from the model named
+    """Return the expected rms error of a pixel, px, by model: parameter uncertainty and bias from
     `reference`."""
     pixel: dict[str, Array] = {}
     variance: dict[str, float] = {}

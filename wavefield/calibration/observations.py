@@ -75,8 +75,7 @@ class Observations:
         return len(self.camera)
 
     def only(self, keep: Mask) -> "Observations":
-        """Return the observations that a mask (n,) selects.
-        The names of cameras and poses and the table of nodes stay complete."""
+        """Return the observations that a mask (n,) selects, with all names and nodes."""
         parts = {key: getattr(self, key)[keep] for key in ("camera", "pose", "node", "pixel", "std")}
         return replace(self, **parts)
 
@@ -84,9 +83,8 @@ class Observations:
     def of_points(
         cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], poses: tuple[str, ...], count: int
     ) -> "Observations":
-        """Make observations of `count` free points instead of a target, each seen by every camera.
-        All points belong to the last pose and are at the origin, so that `Geometry.offset` holds their
-        positions. Their pixels are zero."""
+        """Make observations of `count` free points, each seen by all cameras, at the positions
+        `Geometry.offset`."""
         n = len(cameras) * count
         return Observations(
             cameras,
@@ -106,9 +104,7 @@ class Observations:
 def collect(
     views: Mapping[str, Mapping[str, TargetPoints]], mesh: float, origin: tuple[float, float] = (0.0, 0.0)
 ) -> Observations:
-    """Join the target points of all views, by camera and pose, to one set of observations.
-    `mesh` is the distance of neighbouring nodes, metres. `origin` is the position (x, y) of node (0, 0),
-    metres."""
+    """Join the target points of all views; `mesh` and `origin` (position of node (0, 0)) are in metres."""
     cameras = tuple(views)
     poses = tuple(dict.fromkeys(pose for by_pose in views.values() for pose in by_pose))
     rows = [
@@ -141,8 +137,8 @@ def collect(
 
 @dataclass(frozen=True)
 class Geometry:
-    """Lenses and positions of C cameras, P poses of the target and offsets of its N nodes.
-    The world is the physical frame."""
+    """Lenses and positions of C cameras, P poses of the target and offsets of its N nodes, in the physical
+    frame."""
 
     lens: Array  # (C, 12): Lens of each camera, in the order of `LENS`
     R: Array  # (C, 3, 3): Rotation from world to camera
@@ -159,8 +155,7 @@ class Geometry:
         ]
 
     def with_pose(self, R: Array, t: Array) -> "Geometry":
-        """Return a copy with one more pose of the target.
-        R (3, 3) and t (3,), metres, transform from the target to the world."""
+        """Return a copy with one more pose (R, t) of the target in the world."""
         return replace(
             self, pose_R=np.concatenate([self.pose_R, R[None]]), pose_t=np.concatenate([self.pose_t, t[None]])
         )
@@ -174,9 +169,8 @@ class Geometry:
 
 
 def common_extent(cameras: Sequence[Camera], nominal: Array) -> tuple[Array, Array]:
-    """Return the lower and the upper corner (x, y), metres, of the field on z = 0 that all cameras see.
-    If there is no such field, the corners are the extremes of the nodes' positions `nominal` (N, 3),
-    metres."""
+    """Return the corners (x, y), metres, of the field on z = 0 that all cameras see, or of the nodes'
+    positions."""
     try:
         views = [view_on_water(camera) for camera in cameras]
     except RigError:  # without a flat view, the plane z = 0 may be out of view

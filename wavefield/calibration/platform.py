@@ -1,4 +1,4 @@
-"""Level and height of cameras on a platform above the sea, from the horizon and the mean surface, and sway.
+"""Level and height of cameras on a platform above the sea, from the horizon and the mean surface.
 
 `up` is the unit vector of the vertical in the rig's frame. Matched features are on the waves, not on the mean
 surface; averaged over many instants, the elevation of the waves is zero.
@@ -14,14 +14,12 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student_t
 
-from wavefield.calibration.model_choice import CELLS
 from wavefield.calibration.observations import MAX_MATCHES
 from wavefield.calibration.relative_pose import MAX_EPIPOLAR_ERROR, Pixels
 from wavefield.rig import Camera
 from wavefield.rig.field import MAX_DISTANCE_RATIO
 from wavefield.rig.lens import Array
 from wavefield.rig.stereo import epipolar_distance
-from wavefield.rig.water_level import MAX_DEVIATIONS
 from wavefield.robust import robust_std
 
 EARTH_RADIUS = 6.371e6 / 0.87  # m; refraction by air acts as if the Earth were larger (Bomford 1980)
@@ -35,15 +33,13 @@ TRIALS = 2000  # of RANSAC; with one true edge in eight, thirty of them pick two
 
 
 def dip(height: float) -> float:
-    """Return the angle of the horizon below the horizontal, rad, as seen from a height above the sea, m.
-    The angle includes refraction."""
+    """Return the angle of the horizon below the horizontal, rad, from a height, m, with refraction."""
     return float(np.sqrt(2.0 * max(height, 0.0) / EARTH_RADIUS))
 
 
 def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array | None:
-    """Find points of the horizon in the mean of several images (row, column) of a fixed camera.
-    The horizon is a straight line in the undistorted image, with a roll of up to 45 degrees. Returns points
-    (X, Y), (n, 2), px, or None if there is no such line."""
+    """Find points (n, 2), px, of the horizon in the mean of images of a fixed camera; None if there is none.
+    The horizon is straight in the undistorted image, with a roll of up to 45 degrees."""
     # the mean image shows the horizon, but not the waves
     mean = np.asarray(np.mean([np.asarray(image, float) for image in images], axis=0), np.float32)
     smooth = np.asarray(cv2.GaussianBlur(mean, (0, 0), SMOOTHING), np.float32)
@@ -62,8 +58,7 @@ def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array
 
 
 def _edges(gradient: NDArray[np.float32]) -> tuple[Array, Array]:
-    """Find the steepest edges in some columns of the vertical gradient of an image.
-    Returns the positions (X, Y) of the edges (n, 2), px, and their absolute gradients (n,)."""
+    """Return positions (n, 2), px, and absolute gradients (n,) of the steepest edges in some columns."""
     width = gradient.shape[1]
     noise = 1.4826 * float(np.median(np.abs(gradient)))
     points, strength = [], []
@@ -80,10 +75,8 @@ def _edges(gradient: NDArray[np.float32]) -> tuple[Array, Array]:
 
 
 def _line(tangents: Array, column: Array, strength: Array, reach: float) -> NDArray[np.bool_]:
-    """Find the straight line with the most gradient on it (RANSAC), and the edges that lie on it.
-    `tangents` (n, 2) are the positions of the edges without lens distortion, `strength` (n,) are their
-    gradients, and `reach` is the largest distance of an edge from the line. Returns a mask (n,) of the
-    edges."""
+    """Return a mask (n,) of the edges on the straight line with the most gradient (RANSAC).
+    `tangents` (n, 2) are undistorted positions; `reach` is the largest distance from the line."""
     rng = np.random.default_rng(0)
     weight = np.minimum(strength, np.median(strength))
     best, inlier = 0.0, np.zeros(len(tangents), bool)
@@ -134,8 +127,7 @@ class PlatformFit:
         return float(self.up @ self.cameras[name].centre + self.offset)
 
     def distance(self, matches: Sequence[Mapping[Pair, Pixels]]) -> float:
-        """Return the median distance of the matched features from the first camera, m; 0 without matches.
-        `matches` holds the matched pixels by pair of cameras, for each instant."""
+        """Return the median distance of the matched features from the first camera, m; 0 without matches."""
         name = next(iter(self.cameras))
         rays = [
             sight_lines(self.cameras[name], np.reshape(pixels[0], (-1, 2))) @ self.cameras[name].R @ self.up
@@ -162,16 +154,9 @@ def fit_platform(
     horizons: Mapping[str, Array],
     distance: float | None = None,
 ) -> PlatformFit:
-    """Fit the level and the height of the cameras above the sea to matched features and horizons.
-
-    `matches` holds the matched pixels by pair of cameras, for each instant; `horizons` holds points of the
-    horizon, px, by camera. If the `distance` between the cameras (metres) is given, the fit also includes the
-    pose of the second camera.
-
-    Three kinds of residuals are minimised, each divided by its expected size: distances of matches across
-    their epipolar lines, distances of matches along these lines, which come from the elevation of the waves,
-    and distances of sight lines from the horizon.
-    """
+    """Fit level and height of the cameras to matches and horizons, and the second camera's pose to
+    `distance`. Residuals are distances of matches across and along their epipolar lines (waves), and from the
+    horizon."""
     kept = [one for one in _joined(matches) if len(one.a)]
     kept = [_on_water(start, one) for one in kept]
     fit = start
@@ -193,20 +178,13 @@ def fit_platform(
 def jackknife_std(
     fit: PlatformFit, matches: Sequence[Instant], horizons: Mapping[str, Array], distance: float | None
 ) -> tuple[float, float]:
-    """Return the standard uncertainties of the tilt (degrees) and of the height (m) of a fit.
-
-    They come from a jackknife over groups of successive instants; the arguments are those of `fit_platform`.
-
-    If all groups show the same waves, the uncertainty of the height is NaN. The uncertainty of the tilt is
-    then the error of the horizon, or NaN without a horizon.
-    """
+    """Return the standard uncertainties of tilt (degrees) and height (m), by leaving out successive instants.
+    They hold for instants that show different waves; one instant gives NaN."""
     # leave out successive instants together, because they show the same waves
     groups = np.array_split(np.arange(len(matches)), min(GROUPS, len(matches)))
     first = next(iter(fit.cameras))
-    name, points = next((item for item in horizons.items()), (first, None))
-    of_horizon = HORIZON_ERROR / fit.cameras[name].fy if points is not None else 0.0
-    count, correlated = len(groups), _correlated_groups(fit, matches, groups)
-    if correlated > 0.99 * count:  # all groups show the same waves
+    of_horizon = HORIZON_ERROR / fit.cameras[next(iter(horizons))].fy if horizons else 0.0
+    if len(groups) == 1:
         return float(np.degrees(of_horizon)) or float("nan"), float("nan")
     ups, heights = [], []
     for part in groups:
@@ -219,9 +197,6 @@ def jackknife_std(
     tilt = np.sqrt(factor * np.sum((up - up.mean(axis=0)) ** 2))
     spread = np.sqrt(factor * np.sum((height - height.mean()) ** 2))
     widening = float(student_t.ppf(0.8413, len(groups) - 1))  # Student's t for one standard deviation
-    # Let F of n groups be correlated. The variance of the mean is then F/n, not 1/n, of that of one group,
-    # and the variance between groups is too small by (n - F)/(n - 1).
-    widening *= float(np.sqrt(correlated * (count - 1) / (count - correlated)))
     lever = fit.distance(matches) * of_horizon
     return (
         float(np.degrees(np.hypot(widening * tilt, of_horizon))),
@@ -229,40 +204,8 @@ def jackknife_std(
     )
 
 
-def _correlated_groups(
-    fit: PlatformFit, matches: Sequence[Instant], groups: Sequence[NDArray[np.intp]]
-) -> float:
-    """Return the number F of successive groups of instants that show correlated waves, at least 1.
-    The mean over n groups is then as uncertain as the mean over n / F independent groups. F follows from the
-    correlation between groups of the mean elevation in cells of the image. `groups` holds the indices of the
-    instants of each group."""
-    count = len(groups)
-    products, squares = np.zeros(count), np.zeros(count)
-    number = np.concatenate([np.full(len(part), n) for n, part in enumerate(groups)])
-    for one in _joined(matches):
-        one = _on_water(fit, one)
-        _, along, per_metre = _along_and_across(fit, one)
-        limit = MAX_DEVIATIONS * robust_std(along / per_metre)
-        elevation = np.clip(along / per_metre, -limit, limit)
-        cell = np.clip(one.a / fit.cameras[one.pair[0]].size * CELLS, 0, CELLS - 1).astype(int)
-        place = (number[one.instant] * CELLS + cell[:, 1]) * CELLS + cell[:, 0]
-        features, total = (
-            np.bincount(place, weight, count * CELLS**2).reshape(count, -1)
-            for weight in (np.ones(len(elevation)), elevation)
-        )
-        mean = total / np.where(features > 0, features, np.nan)
-        for lag in range(1, count):
-            first, second = mean[:-lag], mean[lag:]
-            products[lag] += float(np.nansum(first * second))
-            squares[lag] += float(np.nansum(0.5 * (first**2 + second**2)))
-    # F = 1 + 2 sum (1 - k/n) r_k, where r_k is the correlation of elevations k groups apart
-    r = products[1:] / np.maximum(squares[1:], 1e-12)
-    return max(1.0 + 2.0 * float(r @ (1.0 - np.arange(1, count) / count)), 1.0)
-
-
 def _joined(matches: Sequence[Instant]) -> list[_Match]:
-    """Join the matches of all instants, for each pair of cameras.
-    If a pair has more than `MAX_MATCHES`, they are thinned evenly to at most that many."""
+    """Join the matches of all instants by pair of cameras, thinned evenly to `MAX_MATCHES`."""
     out = []
     for pair in dict.fromkeys(pair for one in matches for pair in one):
         parts = [(number, one[pair]) for number, one in enumerate(matches) if pair in one]
@@ -285,9 +228,8 @@ def _on_water(fit: PlatformFit, one: _Match) -> _Match:
 
 
 def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
-    """Return the fit after a step x of its parameters.
-    With a distance, x (8,) holds a rotation vector (3) and a shift (2) of the second camera, the tilt (2) and
-    the rise (1) of the plane. Without a distance, x (3,) holds only the tilt and the rise."""
+    """Return the fit after a step x: of the second camera's turn (3) and shift (2) if it is placed,
+    then of the plane's tilt (2) and rise (1)."""
     cameras = dict(fit.cameras)
     if distance is not None:
         one, name = list(cameras)[:2]
@@ -304,9 +246,8 @@ def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
 
 
 def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Array]:
-    """Return distances of matches across and along their epipolar lines, px.
-    The third result is the distance along the line per metre of elevation, px/m. Each result is (n,). The
-    distance along the line is zero for a feature on the mean surface."""
+    """Return distances of matches across and along epipolar lines, px, and the latter per metre of
+    elevation."""
     first, second = (fit.cameras[name] for name in one.pair)
     rays = sight_lines(first, one.a) @ first.R
     down = np.minimum(rays @ fit.up, -MIN_DOWN / 4)
@@ -321,8 +262,7 @@ def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Arra
 
 
 def _sizes(fit: PlatformFit, one: _Match) -> tuple[float, Array]:
-    """Return the expected standard deviations, px, of distances of matches from a fit.
-    The first is across the epipolar lines (one value for all), the second along them (n,)."""
+    """Return expected standard deviations, px, across (one value) and along (n,) the epipolar lines."""
     across, along, per_metre = _along_and_across(fit, one)
     noise = max(robust_std(across), 0.05)
     waves = max(robust_std(along / per_metre), 1e-3)
@@ -338,9 +278,7 @@ def _residuals(
     distance: float | None,
     instants: int,
 ) -> Array:
-    """Return the residuals of `fit_platform` after a step x, each divided by its expected size.
-    `kept` holds the matches of each pair, `sizes` the results of `_sizes` for them, and `instants` is the
-    number of instants."""
+    """Return the residuals of `fit_platform` after a step x, each divided by its expected size."""
     now = _stepped(fit, x, distance)
     out = []
     for one, (noise, expected) in zip(kept, sizes, strict=True):
@@ -352,15 +290,3 @@ def _residuals(
         off = sight_lines(camera, points) @ camera.R @ now.up + np.sin(dip(now.height(name)))
         out.append(off * camera.fy / (HORIZON_ERROR * np.sqrt(0.5 * len(points))))
     return np.concatenate(out)
-
-
-def sway(images: Sequence[NDArray[np.generic]], camera: Camera) -> float:
-    """Return the rms roll or the rms pitch of a camera, whichever is larger, degrees.
-    Both come from the horizon in each of its images. NaN if fewer than two images show the horizon."""
-    lines = [find_horizon([image], camera) for image in images]
-    # the vertical is perpendicular to all sight lines to the horizon
-    ups = [np.linalg.svd(sight_lines(camera, line) @ camera.R)[2][2] for line in lines if line is not None]
-    if len(ups) < 2:
-        return float("nan")
-    tilts = [up[:2] / up[2] for up in ups]
-    return float(np.degrees(np.sqrt(np.var(tilts, axis=0).max())))

@@ -1,6 +1,5 @@
 """Nodes of a target in one image: their container, and tables of points that other programs found."""
 
-import csv
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
@@ -60,11 +59,8 @@ FREE_COLUMNS = ("x", "y", "z", "X", "Y")
 def read_points(
     path: str | Path, size: tuple[int, int] | None = None, std: float = 0.1, unit: float | None = None
 ) -> TargetPoints:
-    """Read target points from a CSV file with columns i, j, X, Y and optionally std (px) and z (metres).
-    If `unit` (metres) is given, the columns are x, y, z in this unit, then X, Y and optionally std. `size`
-    (width, height) and `std` (px) are used if the file does not state them. Raises a CalibrationError if the
-    file cannot be read, lacks a column or the image size, holds a node twice, or holds values that are not
-    valid numbers."""
+    """Read target points from a CSV file: columns i, j, X, Y, optionally std (px) and z (metres). With a
+    `unit` (metres) they are x, y, z in this unit, X, Y. `size` and `std` are used if not in the file."""
     path = Path(path)
     lines = _lines(path)
     # lines that begin with # are comments; one of them may be "# size 1024 1024" (width and height, px)
@@ -75,7 +71,7 @@ def read_points(
             "'# size 1024 1024'"
         )
     # X, Y count from 0 at the centre of the first pixel; a column z means that the target's pose is known
-    data, placed = _table(lines, path, std) if unit is None else _free_points(lines, path, std, unit)
+    data, placed = _table(lines, path, std, unit)
     node = data[:, :2] if unit else np.rint(data[:, :2]).astype(np.int64)
     if not np.isfinite(data).all() or np.any(node != data[:, :2]) or np.any(data[:, 4] <= 0.0):
         raise CalibrationError(f"{path}: i and j must be whole numbers, X and Y finite and std positive")
@@ -109,47 +105,27 @@ def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
     return None
 
 
-def _table(lines: list[str], path: Path, std: float) -> tuple[Array, bool]:
-    """Read the points of a grid.
-    Returns a table (n, 6) of i, j, X, Y, std, z, and whether the file has a column z. `std` (px) is used
-    where the file states none."""
-    rows = csv.DictReader(_content(lines), skipinitialspace=True)
-    header = rows.fieldnames or ()
-    missing = [name for name in COLUMNS if name not in header]
+def _table(lines: list[str], path: Path, std: float, unit: float | None) -> tuple[Array, bool]:
+    """Return a table (n, 6) of i, j (or x, y in the unit), X, Y, std, z (metres), and whether z is known."""
+    rows = [line for line in lines if line.strip() and not line.startswith("#")]
+    words = [[w.strip() for w in row.split(",")] if "," in row else row.split() for row in rows]
+    header = words[0] if words else []
+    missing = [name for name in (COLUMNS if unit is None else FREE_COLUMNS) if name not in header]
     if missing:
         raise CalibrationError(
             f"{path} lacks the column {', '.join(missing)}; its header must be i,j,X,Y, or also std and z "
-            "(points that are no grid: kind: points)"
+            "(points that are no grid: kind: points, with x,y,z,X,Y)"
         )
     placed = "z" in header
     default = {"std": std} if placed else {"std": std, "z": 0.0}
-    return _numbers(rows, path, default, (*COLUMNS, "std", "z")), placed
-
-
-def _free_points(lines: list[str], path: Path, std: float, unit: float) -> tuple[Array, bool]:
-    """Read points with known positions: a table (n, 6) of x, y (in the unit), X, Y, std, z (metres).
-    The second result is always True, because the positions are known. `unit` is in metres."""
-    content = [line.replace(",", " ") for line in _content(lines)]
-    header = content[0].split() if content else []
-    if not set(header) >= set(FREE_COLUMNS):
-        raise CalibrationError(f"{path}: its header must be {','.join(FREE_COLUMNS)}, or also std")
-    rows = csv.DictReader((" ".join(line.split()) for line in content), delimiter=" ")
-    table = _numbers(rows, path, {"std": std}, ("x", "y", "X", "Y", "std", "z"))
-    table[:, 5] *= unit
-    return table, True
-
-
-def _content(lines: list[str]) -> list[str]:
-    return [line for line in lines if line.strip() and not line.startswith("#")]
-
-
-def _numbers(
-    rows: "csv.DictReader[str]", path: Path, default: dict[str, float], columns: tuple[str, ...]
-) -> Array:
+    columns = (*(("i", "j") if unit is None else ("x", "y")), "X", "Y", "std", "z")
     table = []
-    for count, row in enumerate(rows, 1):
+    for count, row in enumerate(words[1:], 1):
+        values = dict(zip(header, row, strict=False))
         try:
-            table.append([float(row.get(name) or default[name]) for name in columns])
-        except (KeyError, TypeError, ValueError):
-            raise CalibrationError(f"{path}: point {count} is not made of numbers: {dict(row)}") from None
-    return np.array(table, float).reshape(-1, len(columns))
+            table.append([float(values.get(name) or default[name]) for name in columns])
+        except (KeyError, ValueError):
+            raise CalibrationError(f"{path}: point {count} is not made of numbers: {values}") from None
+    out = np.array(table, float).reshape(-1, len(columns))
+    out[:, 5] *= unit or 1.0
+    return out, placed

@@ -16,8 +16,7 @@ MAX_SEARCH_SIZE = 1500  # px; larger images are halved for the search: OpenCV's 
 
 
 def find_chessboard(image: Image, target: Target) -> TargetPoints:
-    """Find the inner corners of a chessboard, all of which must be in view.
-    Raises a CalibrationError if the board is not found."""
+    """Find the inner corners of a chessboard, all of which must be in view."""
     nx, ny = shape_of(target)
     pixel = _chessboard_corners(image, (nx, ny))
     if pixel is None:
@@ -32,8 +31,7 @@ def find_chessboard(image: Image, target: Target) -> TargetPoints:
 
 
 def _refined(image: Image, node: Nodes, pixel: Array, reach: float = 0.35) -> Array:
-    """Return the corners (n, 2), px, after refinement by OpenCV's `cornerSubPix`.
-    The window of this function extends by `reach` meshes from the corner to each side."""
+    """Return the corners (n, 2), px, refined by `cornerSubPix` in windows that reach `reach` meshes."""
     half = int(np.clip(reach * mesh_length(node, pixel), 2, 7))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
     start = pixel.astype(np.float32).reshape(-1, 1, 2)
@@ -41,8 +39,8 @@ def _refined(image: Image, node: Nodes, pixel: Array, reach: float = 0.35) -> Ar
 
 
 def _chessboard_corners(image: Image, shape: tuple[int, int]) -> Array | None:
-    """Return the corners (n, 2), px, from the first of several OpenCV detectors that finds the board.
-    None if no detector finds it. `shape` is the number of inner corners along x and y."""
+    """Return the corners (n, 2), px, from the first of several OpenCV detectors that finds the board, or
+    None."""
     picture, factor = _as_bytes(image), 1.0
     while max(picture.shape) > MAX_SEARCH_SIZE:
         half = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
@@ -67,9 +65,7 @@ def _as_bytes(image: Image) -> NDArray[np.uint8]:
 
 
 def find_charuco(image: Image, target: Target) -> TargetPoints:
-    """Find the chessboard corners of a ChArUco board, which may be partly out of view.
-    Raises a CalibrationError if there are too few corners, if the image is mirrored, or if the target's
-    dictionary is unknown to OpenCV."""
+    """Find the chessboard corners of a ChArUco board, which may be partly out of view."""
     nx, ny = shape_of(target)
     grey, marker = _as_bytes(image), float(target.marker or 0.0)
     code = getattr(cv2.aruco, target.dictionary, None)
@@ -80,25 +76,18 @@ def find_charuco(image: Image, target: Target) -> TargetPoints:
     dictionary = cv2.aruco.getPredefinedDictionary(code)
     board = cv2.aruco.CharucoBoard((nx, ny), target.mesh, marker, dictionary)
 
-    def detect(picture: NDArray[np.uint8]) -> tuple[Nodes, Array]:
-        best: tuple[Nodes, Array] = (np.empty(0, np.int64), np.empty((0, 2)))
-        # OpenCV before 4.6 made boards with an even number of rows in another layout
-        for legacy in (False, True):
-            board.setLegacyPattern(legacy)
-            corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(picture)
-            if ids is not None and len(ids) > len(best[0]):
-                best = ids.ravel().astype(np.int64), corners.reshape(-1, 2).astype(float)
-        return best
-
-    ids, pixel = detect(grey)
+    ids, pixel = np.empty(0, np.int64), np.empty((0, 2))
+    # OpenCV before 4.6 made boards with an even number of rows in another layout
+    for legacy in (False, True):
+        board.setLegacyPattern(legacy)
+        corners, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
+        if numbers is not None and len(numbers) > len(ids):
+            ids, pixel = numbers.ravel().astype(np.int64), corners.reshape(-1, 2).astype(float)
     if len(ids) < LIMITS.min_nodes:
-        if len(detect(np.ascontiguousarray(grey[:, ::-1]))[0]) > len(ids):
-            raise CalibrationError(
-                "the image of the ChArUco board is mirrored; export it from the camera unflipped"
-            )
         raise CalibrationError(
             f"only {len(ids)} corners of a ChArUco board of {nx} x {ny} squares were found; at least "
-            f"{LIMITS.min_nodes} are needed (check dictionary, focus and light; markers are dark on bright)"
+            f"{LIMITS.min_nodes} are needed (check dictionary, focus and light; markers are dark on bright; "
+            "mirrored images are not recognised)"
         )
     node = np.stack([ids % (nx - 1), ny - 2 - ids // (nx - 1)], -1)
     gap = 0.5 * (1 - marker / target.mesh)  # distance between a corner and the nearest marker, meshes

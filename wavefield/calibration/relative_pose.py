@@ -27,9 +27,7 @@ MAX_EPIPOLAR_ERROR = 3.0  # px, of a correct match: features are found to about 
 
 
 def match_features(one: NDArray[np.generic], other: NDArray[np.generic]) -> Pixels:
-    """Match SIFT features (Lowe 2004) of two images.
-    Returns the pixels (X, Y) of the matched features in each image, two arrays (n, 2). In each match, both
-    features are the best match of the other, and clearly better than the second best."""
+    """Return the pixels (n, 2) of SIFT features (Lowe 2004) in each image that are mutually best matches."""
     sift = cv2.SIFT.create(nfeatures=MAX_FEATURES)
     found = [sift.detectAndCompute(_bytes(image), None) for image in (one, other)]
     if any(len(points) < 2 for points, _ in found):
@@ -55,10 +53,8 @@ def _bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 
 def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -> Camera:
-    """Find the pose of camera `other` relative to camera `one` from matched pixels; returns `other` in it.
-    The lenses of both cameras are known. `matches` holds the pixels (n, 2) in each camera, and `distance` is
-    the distance between the cameras, metres. The pose minimises the epipolar distances of the matches, with a
-    robust loss. Raises a RigError if there are too few matches."""
+    """Return camera `other` placed relative to `one`, so that sight lines of matches meet (robust loss).
+    `distance` is that between the cameras, metres. Raises a RigError if there are too few matches."""
     a, b = matches
     if len(a) < MIN_MATCHES:
         raise RigError(_too_few(len(a)))
@@ -79,9 +75,8 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
 
 
 def _starts(E: Array, one: Array, other: Array, reach: float) -> list[Pose]:
-    """Return start values of the relative pose: rotations (3, 3) with unit translations (3,).
-    E (3, 3) is the essential matrix of the tangents `one` and `other` (n, 2). On a nearly flat surface it may
-    give a wrong pose, so the poses from a homography are added."""
+    """Return start poses (rotation, unit translation) from the essential matrix E and a homography.
+    Only the homography is right on a nearly flat surface. `one` and `other` (n, 2) are tangents."""
     _, R, t, _ = cv2.recoverPose(E, one, other, np.eye(3))
     out = [(np.asarray(R, float), np.asarray(t, float).ravel())]
     H, _ = cv2.findHomography(one, other, cv2.RANSAC, reach)
@@ -98,8 +93,7 @@ def _starts(E: Array, one: Array, other: Array, reach: float) -> list[Pose]:
 def _fitted(
     one: Camera, other: Camera, matches: Pixels, distance: float, start: Pose
 ) -> tuple[Camera, float]:
-    """Fit the pose of the second camera to the matches, from a start value (R, t).
-    Returns the second camera in this pose and the value of the robust loss."""
+    """Fit the second camera's pose to the matches from a start; return the camera and the robust loss."""
     R, t = start
     across = np.linalg.svd(t[None])[2][1:]  # two directions across t
 
@@ -124,8 +118,7 @@ def _too_few(count: int) -> str:
 
 
 def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:
-    """Return the points (m, 3), metres, where the sight lines of matched pixels meet, in the rig's frame.
-    Matches with large epipolar errors, very distant points and points behind a camera are left out."""
+    """Return the points (m, 3), metres, where sight lines of matches meet in front of both cameras."""
     a, b = matches
     near = np.abs(epipolar_distance(one, other, *a.T, *b.T)) < MAX_EPIPOLAR_ERROR
     if not near.any():

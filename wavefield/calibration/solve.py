@@ -1,6 +1,6 @@
 """Calibrate a rig from target points, and report each problem in a sentence."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -14,10 +14,9 @@ from wavefield.calibration.assess import (
     consistent_cameras,
     usable_views,
 )
-from wavefield.calibration.bundle import Fit, covariance_to_dict, fit
+from wavefield.calibration.bundle import TERMS, Fit, covariance_to_dict, fit
 from wavefield.calibration.camera_start import PhysicalFrame, physical_frame, start_geometry
 from wavefield.calibration.model_choice import (
-    CANDIDATES,
     PredictedErrors,
     choose_model,
     predict_errors,
@@ -33,7 +32,9 @@ from wavefield.calibration.observations import (
 )
 from wavefield.calibration.points import Mask
 from wavefield.calibration.target import Target
+from wavefield.one_thread import one_thread
 from wavefield.rig import Rig
+from wavefield.rig.lens import LENS
 from wavefield.robust import robust_std
 
 MAX_ROUNDS = 4  # of fitting and rejecting outliers, so that up to four views can be rejected
@@ -82,6 +83,7 @@ class Calibration:
     reference: str = ""
 
 
+@one_thread()
 def calibrate(
     views: Views,
     target: Target | float,
@@ -90,7 +92,6 @@ def calibrate(
     model: str = "auto",
     target_std: float = 0.0,
     camera_distance: Mapping[str, float] | None = None,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Calibration:
     """Calibrate all cameras of a rig from their views of a target.
 
@@ -112,8 +113,6 @@ def calibrate(
         the nodes' offsets with this prior; level the rig on the water at rest afterwards.
     camera_distance : mapping of str to float, optional
         Distances of cameras from the origin that you measured, metres. Only they can reveal a wrong mesh.
-    progress : callable, optional
-        Called with (camera models fitted, number of models).
 
     Returns
     -------
@@ -152,8 +151,6 @@ def calibrate(
     """
     mesh, origin = (target, (0.0, 0.0)) if isinstance(target, float | int) else (target.mesh, target.origin)
     findings = Findings()
-    if progress:
-        progress(0, len(CANDIDATES))
     usable = usable_views(views, findings)
     single = calibrate_each(usable, mesh, origin, flat, findings)
     if not single:
@@ -165,7 +162,7 @@ def calibrate(
     frame = physical_frame(observations, flat, findings)
     geometry = start_geometry(observations, consistent, frame)
     observations, result, chosen = _fit_and_choose(
-        observations, geometry, frame, terms_of(model), target_std, findings, progress
+        observations, geometry, frame, terms_of(model), target_std, findings
     )
     predicted = predict_errors(observations, result, frame.level)
     assess_rig(observations, result, predicted, target_std, camera_distance or {}, findings)
@@ -193,13 +190,9 @@ def _fit_and_choose(
     model: tuple[str, ...] | None,
     target_std: float,
     findings: Findings,
-    progress: Callable[[int, int], None] | None,
 ) -> tuple[Observations, Fit, str]:
-    """Fit all cameras, leave out outliers, and choose the camera model if the user gave none.
-    `start` is the geometry from which the fit starts, `frame` defines the physical frame, `model` holds the
-    free lens terms or is None for the automatic choice, and `target_std` is in metres. Returns the
-    observations that were kept, the fit, and the free terms of the model. The function records in `findings`
-    what it left out."""
+    """Fit all cameras without outliers, and choose the camera model if `model` is None.
+    Returns the observations kept, the fit, and the free terms of the model."""
     o = observations
     terms = model or ("f", "aspect", "c", "k1")
 
@@ -218,37 +211,26 @@ def _fit_and_choose(
     if model:
         return o, result, " ".join(model)
     scale, begin = result.scale, result.geometry
-    name, result = choose_model(lambda terms: run(terms, begin, scale), o, frame.level, progress)
+    name, result = choose_model(lambda terms: run(terms, begin, scale), o, frame.level)
     return o, result, name
 
 
 def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observations) -> Geometry:
-    """Return the geometry with the values of an ideal lens for all lens terms that are not in `terms`.
-    It is the start of a fit in which only `terms` are free."""
+    """Return the geometry with the values of an ideal lens for all terms that are not in `terms`."""
     lens = geometry.lens.copy()
-    free = {
-        "f": (0, 1),
-        "c": (2, 3),
-        "k1": (4,),
-        "k2": (5,),
-        "p": (6, 7),
-        "k3": (8,),
-        "tilt": (9, 10),
-    }
-    fixed = [column for term, columns in free.items() if term not in terms for column in columns]
+    free = {"fx", "fy"}.union(*(TERMS[term] for term in terms))
+    fixed = [column for column, name in enumerate(LENS) if name not in free]
     perfect = np.zeros_like(lens)
     perfect[:, 2:4] = (np.array(observations.sizes) - 1) / 2
     lens[:, fixed] = perfect[:, fixed]
-    lens[:, 11] = 0.0  # skew
     if "aspect" not in terms:
         lens[:, :2] = np.sqrt(lens[:, :1] * lens[:, 1:2])
     return replace(geometry, lens=lens)
 
 
 def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
-    """Return a mask (n,) of the observations to keep.
-    If the worst view misses the fit far more than the others, all of its points are rejected; if not, single
-    points are. The function records in `findings` what is rejected."""
+    """Return a mask (n,) of the observations to keep: without a bad view if there is one, else without bad
+    points."""
     deviation = np.abs(result.residual).max(axis=1) / o.std
     view = o.camera * len(o.poses) + o.pose
     spread = {

@@ -38,9 +38,7 @@ Matches = Mapping[str, ArrayLike]  # by camera: pixels (n, 2) of the same n poin
 
 
 def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
-    """Check matches by camera, and stack them in one array.
-    Returns the names of the matched cameras, in the rig's order, and their pixels (n, cameras, 2). Raises a
-    CalibrationError if there are fewer than two cameras, an unknown camera, or arrays of wrong shape."""
+    """Return the names of the matched cameras in the rig's order, and their pixels (n, cameras, 2)."""
     names = [name for name in rig if name in matches]
     unknown = [name for name in matches if name not in rig.cameras]
     if unknown:
@@ -128,8 +126,7 @@ class SightLineFit:
         return Rig({**self.rig.cameras, **dict(zip(self.names, cameras))}, self.rig.provenance)
 
     def solve(self, free: Sequence[str]) -> Solution:
-        """Find the most probable parameters if the cameras named in `free` may have moved.
-        The other cameras keep to their calibration within its uncertainty."""
+        """Find the most probable parameters if the cameras `free` may have moved, and the others have not."""
         covariance = self.covariance.copy()
         for name in free:
             k = self.layout.camera[self.names.index(name)]
@@ -149,9 +146,8 @@ class SightLineFit:
         return Solution(x, self.misfit(r[: self.pixel.size]), huber(r, HUBER_LIMIT))
 
     def _linearised(self, x: Array) -> tuple[Array, Array]:
-        """Return the normalised residuals (n, 2 cameras, 1) of the matches, and their derivatives.
-        The derivatives (n, 2 cameras, p) are with respect to the parameters x. The part that a shift of each
-        point would explain is removed from both results."""
+        """Return the normalised residuals (n, 2 cameras, 1) and their derivatives (n, 2 cameras, p) at x.
+        The part that a shift of each point would explain is removed."""
         point = np.stack(sight_points(self.rig_at(x), self.matches)[:3], axis=-1)
         pixel, J, A = linearised(replace(self.start, offset=point), self.layout, x, self.observations)
 
@@ -177,8 +173,7 @@ class SightLineFit:
         return self.rig[name].fx * float(np.radians(self.angle(solution, name)))
 
     def misfit(self, projected: Array) -> float:
-        """Return a robust estimate of the distance by which sight lines miss each other, px.
-        `projected` holds the residuals of all matches, divided by `std`."""
+        """Return a robust distance by which sight lines miss, px, from residuals divided by `std`."""
         norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
         # normalise by the median of a chi distribution with 2 cameras - 3 degrees of freedom
         median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))
@@ -191,9 +186,8 @@ class SightLineFit:
 
 
 def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[ParameterLayout, Array]:
-    """Return the layout of the cameras' parameters and the prior covariance of these parameters (p, p).
-    The covariance comes from the provenance of the rig. If it has none, only the positions and orientations
-    of the cameras are parameters, with default uncertainties."""
+    """Return the layout and the prior covariance (p, p) of the cameras' parameters, from the rig's
+    provenance. Without a covariance there, only poses are free, with default uncertainties."""
     stated = rig.provenance.get("covariance")
     columns: dict[str, list[str]] = {name: [] for name in names}
     if stated:
@@ -272,9 +266,8 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
 
 
 def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
-    """Decide whether a camera has moved.
-    Returns the result of the check, and the solution for each camera that may have moved. The key None holds
-    the solution in which no camera has moved."""
+    """Decide whether a camera has moved; also return the solution for each camera that may have (None:
+    none)."""
     solutions: dict[str | None, Solution] = {None: problem.solve(())}
     for name in problem.names:
         solutions[name] = problem.solve((name,))
@@ -317,10 +310,8 @@ def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
 
 
 def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: float, after: float) -> RigCheck:
-    """Return the result of a check that blames a camera's motion.
-    `best` is the camera that explains the misfit best, and `faulty` are all that explain it about as well.
-    `angle` is the turn of `best`, degrees; `before` and `after` are the misfits before and after its
-    correction, px. If the correction leaves too large a misfit, the result names other causes instead."""
+    """Return the result of a check that blames the motion of `best`, or other causes if a misfit remains.
+    `before` and `after` are the misfits before and after the correction, px; `angle` is in degrees."""
     if after > max(0.5 * before, SHARP_MISFIT_PX):
         text = f"sight lines miss by {before:.2f} px, and by {after:.2f} px with one turned: {_OTHER_CAUSES}"
         return RigCheck(before, after, None, faulty, angle, text)

@@ -15,26 +15,35 @@ from wavefield.compiled import compiled
 from wavefield.rig.lens import Array
 from wavefield.robust import PER_MEDIAN
 
+Pair = tuple[float, float]
+
+
+@compiled(inline="always")
+def gaussian(p: float) -> Pair:
+    """Return the standard normal density at p and its integral from 0 to p.
+    The error is below 1e-7 (Abramowitz and Stegun 1964, 26.2.17); `math.erf` takes twice as long."""
+    density = math.exp(-0.5 * p * p) * 0.3989422804014327
+    t = 1.0 / (1.0 + 0.2316419 * abs(p))
+    series = 0.31938153 + t * (-0.356563782 + t * (1.781477937 + t * (-1.821255978 + t * 1.330274429)))
+    return density, math.copysign(0.5 - density * t * series, p)
+
 
 @compiled(inline="always")
 def profile(d: float, u: float, s: float) -> tuple[float, float, float]:
-    """Return the brightness across a string at the distance d from its axis, and two derivatives.
-    The derivatives are with respect to d and u. The profile has unit integral; it is a box of half width
-    sqrt(u), smoothed by a Gaussian of standard deviation s. d and s are in px."""
+    """Return the brightness across a string at the distance d from its axis, and its derivatives by d and u.
+    The profile is a box of half width sqrt(u) with unit integral, blurred by a Gaussian of std s, px."""
+    h = math.sqrt(max(u, 0.0))
+    if abs(d) > h + 6.0 * s:
+        return 0.0, 0.0, 0.0
     if u > 0.1 * s * s:
-        h = math.sqrt(u)
-        p, m = (d + h) / s, (d - h) / s
-        gp = math.exp(-0.5 * p * p) * 0.3989422804014327
-        gm = math.exp(-0.5 * m * m) * 0.3989422804014327
-        f = (math.erf(p * 0.7071067811865476) - math.erf(m * 0.7071067811865476)) / (4.0 * h)
+        (gp, p), (gm, m) = gaussian((d + h) / s), gaussian((d - h) / s)
+        f = (p - m) / (2.0 * h)
         return f, (gp - gm) / (2.0 * h * s), ((gp + gm) / (2.0 * h * s) - f / h) / (2.0 * h)
     # for small or negative u, a Gaussian of the same variance continues the profile smoothly
     v = s * s + u / 3.0
     f = math.exp(-0.5 * d * d / v) * 0.3989422804014327 / math.sqrt(v)
     return f, -d * f / v, f * (d * d / v - 1.0) / (6.0 * v)
 
-
-Pair = tuple[float, float]
 
 # order of the parameters of one crossing; the model is linear in those from FLUX1 on
 CX, CY, ANGLE1, ANGLE2, WIDTH1, WIDTH2, FLUX1, FLUX2, GROUND, SLOPE_X, SLOPE_Y, OVERLAP, COUNT = range(13)
@@ -64,9 +73,8 @@ class Crossings:
 
 @compiled()
 def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: float) -> Array:
-    """Return the columns x, the rows y and the grey values of the pixels near a crossing, (3, n).
-    These pixels are within the parallelogram of the vectors `arm1` and `arm2`, px, and nearer than `band`,
-    px, to one of the strings. `start` holds the crossing's parameters."""
+    """Return columns, rows and grey values (3, n) of the pixels near a crossing.
+    They are in the parallelogram of the vectors `arm1` and `arm2` and within `band` of a string, px."""
     rows, columns = image.shape
     det = arm1[0] * arm2[1] - arm1[1] * arm2[0]
     wide, tall = abs(arm1[0]) + abs(arm2[0]), abs(arm1[1]) + abs(arm2[1])
@@ -93,16 +101,9 @@ def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: flo
 def _rows(
     pixels: Array, p: Array, blur: float, variance: Pair, spread: float, free: int, misses: Array, rows: Array
 ) -> float:
-    """Write the weighted least-squares equations of all pixels; return how many pixels have a weight.
-
-    The arguments `rows` and `misses` are filled in place. rows (13, n) holds the derivatives of the model
-    with respect to the first `free` parameters, the linear ones first, and in its last row the residuals.
-    misses (2, n) holds the residuals in grey levels, and their absolute values in standard deviations.
-
-    p (12,) are the parameters. `variance` (a, b) gives the noise variance a + b model of a pixel; `blur` is
-    the standard deviation of the lens' Gaussian, px. Residuals beyond `spread` standard deviations have no
-    weight (Tukey).
-    """
+    """Fill `rows` (13, n), the weighted derivatives by `free` parameters (linear ones first) and the
+    residuals. `misses` (2, n) gets residuals in grey and in standard deviations. Returns the number of pixels
+    with weight."""
     c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
     count = 0.0
     for k in range(pixels.shape[1]):
@@ -141,9 +142,7 @@ def _rows(
 
 @compiled()
 def _advance(p: Array, steps: Array, blur: float) -> float:
-    """Add `steps` to the parameters p in place, after limiting them.
-    The linear parameters come first in `steps`. Returns the larger of the steps of the centre's x and y,
-    px."""
+    """Add limited `steps`, linear parameters first, to p in place; return the centre's larger step, px."""
     largest = 0.0
     for i in range(len(steps)):
         step = steps[i]
@@ -173,9 +172,7 @@ def _evaluate(
     arms: Array,
     noise: Array,
 ) -> None:
-    """Fill the arrays `arms` (4,) and `noise` (4,) of one crossing in place.
-    The fields of `Crossings` describe them. `angles` are the directions of the two strings, rad; `misses` and
-    `spread` are as in `_rows`."""
+    """Fill `arms` (4,) and `noise` (4,), fields of `Crossings`; `angles` are the strings' directions, rad."""
     c1, s1, c2, s2 = math.cos(angles[0]), math.sin(angles[0]), math.cos(angles[1]), math.sin(angles[1])
     v1, v2 = math.sqrt(blur * blur + p[WIDTH1] / 3.0), math.sqrt(blur * blur + p[WIDTH2] / 3.0)
     found = np.zeros(4)
@@ -222,10 +219,8 @@ def _fit_one(
     arms: Array,
     noise: Array,
 ) -> float:
-    """Fit one crossing by damped Gauss-Newton steps.
-    The parameters p (12,) hold the start values and then the result; `covariance` (2,) (variances of x and y,
-    px^2), `arms` (4,) and `noise` (4,) are filled in place. Returns the residual over the noise, or -1 if the
-    fit fails."""
+    """Fit one crossing by damped Gauss-Newton steps; return the residual over the noise, -1 if it fails.
+    The parameters p (12,), the variances of x and y, `arms` and `noise` are filled in place."""
     n = pixels.shape[1]
     if n < 45:
         return -1.0
@@ -260,10 +255,7 @@ def _fit_one(
 def _fit_all(
     image: Image, arms: Array, blur: float, band: Array, variance: Pair, p: Array, out: Array
 ) -> None:
-    """Fit all crossings of an image; updates the parameters p (n, 12) and fills `out` (n, 11) in place.
-    `arms` (n, 2, 2) are vectors along the two strings, px, and `band` (n,) is the half width of the strips of
-    pixels along them, px. A row of `out` holds the variances of x and y (2), `arms` (4), `noise` (4) and the
-    misfit (1)."""
+    """Fit all crossings; updates p (n, 12), and fills `out` (n, 11) with results of `_fit_one`."""
     for k in range(len(p)):
         pixels = _pixels_near(image, p[k], arms[k, 0], arms[k, 1], band[k])
         covariance, brightness, noise = out[k, :2], out[k, 2:6], out[k, 6:10]
@@ -271,10 +263,8 @@ def _fit_all(
 
 
 def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> Array:
-    """Return start values (n, 12) of the parameters of crossings.
-    They are set for the centre, the angles and the widths; the first step of the fit solves for the others.
-    `pixel` (n, 2) are the expected positions, `slopes` (n, 2, 2) the mesh vectors, px, `sigma` the standard
-    deviation of a string's profile, px, and `blur` that of the lens' Gaussian, px."""
+    """Return start values (n, 12) of centres, angles and widths; the fit solves for the others.
+    `sigma` is the standard deviation of a string's profile, `blur` that of the lens' Gaussian, px."""
     p = np.zeros((len(pixel), COUNT))
     p[:, CX], p[:, CY] = pixel.T
     p[:, ANGLE1] = np.arctan2(slopes[:, 0, 1], slopes[:, 0, 0])
@@ -290,10 +280,8 @@ def fit_crossings(
     blur: float,
     noise: tuple[float, float] = (1.0, 0.0),
 ) -> Crossings:
-    """Fit all crossings of an image by damped Gauss-Newton steps, without outliers (Tukey's biweight).
-    `start` (n, 12) are start values of the parameters, `slopes` (n, 2, 2) the mesh vectors, px, and `blur`
-    the standard deviation of the lens' Gaussian, px. `noise` is the variance of a pixel at zero grey and its
-    increase per grey level."""
+    """Fit all crossings from `start` (n, 12) by damped Gauss-Newton steps with Tukey's biweight.
+    `noise` is the variance of a pixel at zero grey and its increase per grey level."""
     parameters = np.array(start, float)
     length = np.hypot(slopes[..., 0], slopes[..., 1])
     arms = slopes * (np.minimum(0.45, MAX_ARM / np.maximum(length, 1e-9)))[..., None]

@@ -35,9 +35,7 @@ NO_GRID = (
 
 
 def best_lattice(image: Image) -> tuple[TargetLattice, float]:
-    """Find the lattice of string crossings that has the most light along the lines between its nodes.
-    Returns the lattice and the scale of smoothing, px, that found it. Raises a CalibrationError if there is
-    none."""
+    """Return the lattice of crossings with the most light along its lines, and the smoothing scale, px."""
     best: TargetLattice | None = None
     best_scale, most = SCALES[0], 0.0
     for scale in SCALES:
@@ -60,9 +58,7 @@ def best_lattice(image: Image) -> tuple[TargetLattice, float]:
 
 
 def _light_along(image: Image, lattice: TargetLattice) -> float:
-    """Measure how much brighter the lines between neighbouring nodes are than their surroundings.
-    Returns the sum over all lines of excess brightness times length, grey px. It is small for a lattice that
-    noise or dirt forms, because there are no strings between its nodes."""
+    """Return the excess brightness of the lines between nodes times their length, summed, grey px."""
     place, filled = lattice.place, lattice.filled
     along = np.linspace(0.25, 0.75, 16)[None, :, None]
     total = 0.0
@@ -78,9 +74,7 @@ def _light_along(image: Image, lattice: TargetLattice) -> float:
 
 
 def _seeds(image: Image, candidates: Candidates) -> list[tuple[Array, Array, Array]]:
-    """Find crossings near the image's centre from which a lattice can grow.
-    Each seed is the pixel of a crossing (2,) and the steps e1 and e2 (2,), px, along its strings to two
-    neighbours, right-handed seen from above."""
+    """Return seeds near the image's centre: a crossing (2,) and steps e1, e2 (2,), px, along its strings."""
     height, width = image.shape
     light = _above_ground(image, candidates.scale)
     pixel = candidates.pixel[candidates.strong]
@@ -115,8 +109,7 @@ def _above_ground(image: Image, scale: float) -> Image:
 
 
 def sample(image: Image, pixel: Array) -> Image:
-    """Interpolate the image bilinearly at positions `pixel` (..., 2).
-    Outside the image, the result is the value of the nearest pixel."""
+    """Interpolate the image at positions (..., 2); outside it, the nearest pixel counts."""
     flat = pixel.reshape(-1, 2).astype(np.float32)
     rows = 30000  # cv2.remap takes no more than 32767 rows
     parts = [
@@ -132,8 +125,7 @@ DISC_RADII = np.linspace(0.05, 0.38, 34)  # meshes: radii of the model discs
 
 
 def numbered_from_marks(image: Image, smooth: SmoothMap, node: Nodes) -> Nodes:
-    """Renumber nodes (n, 2) so that the larger disc is at (0, 0) and the smaller one at (1, 0).
-    Raises a CalibrationError if the two discs are not found."""
+    """Renumber nodes (n, 2) so that the larger disc is at (0, 0) and the smaller one at (1, 0)."""
     origin, step = _marks(image, smooth, node)
     rotation = np.array([[step[0], step[1]], [-step[1], step[0]]])
     out: Nodes = (node - origin) @ rotation.T
@@ -141,8 +133,7 @@ def numbered_from_marks(image: Image, smooth: SmoothMap, node: Nodes) -> Nodes:
 
 
 def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
-    """Find the two discs: the node of the larger disc (2,), and the step from it to the smaller disc (2,).
-    Raises a CalibrationError if they are not found."""
+    """Return the node of the larger disc (2,), and the step from it to the smaller disc (2,)."""
     height, width = image.shape
     places = around(node, np.vstack([[[0, 0]], FOUR_NEIGHBOURS]))
     pixel = smooth(places)
@@ -165,9 +156,7 @@ def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
 def _pairs_of_discs(
     places: Nodes, quality: Array, radius: Array, grey: Array, min_quality: float
 ) -> list[tuple[float, Nodes, Nodes]]:
-    """Return pairs of neighbouring nodes that may carry the larger and the smaller disc, best first.
-    Each pair is (score, node of the larger disc, step to the smaller disc). The other arrays are the results
-    of `_discs` for the nodes `places`; discs of less than `min_quality` are ignored."""
+    """Return pairs (score, node of the larger disc, step to the smaller one), best first."""
     row = np.full((2 * REACH + 3, 2 * REACH + 3), -1)
     row[tuple((places + REACH + 1).T)] = np.arange(len(places))
     pairs = []
@@ -185,9 +174,8 @@ def _pairs_of_discs(
 
 
 def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
-    """Sample the brightness on circles around nodes, in directions between the strings.
-    Returns the brightness of each node minus that of a typical node, (node, circle, direction), and the
-    brightness of the typical node, (circle, direction)."""
+    """Return the excess brightness (node, circle, direction) over a typical node, and that node's
+    brightness."""
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
     offset = CIRCLES[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -198,10 +186,8 @@ def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
 
 
 def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
-    """Fit a uniform disc to the brightness around each node.
-    `excess` and `usual` are the results of `_circles`. Returns the quality of the fit, the radius (meshes)
-    and the grey value of each disc, each (n,). The quality is the ratio of the brightness that the disc
-    explains to the residual."""
+    """Fit a uniform disc around each node; return quality (explained over residual), radius (meshes) and
+    grey."""
     noise = np.median(np.abs(excess[:, -10:])) + 1e-3
     disc = np.clip((DISC_RADII[:, None] - CIRCLES) / 0.05 + 0.5, 0, 1)[..., None]
     disc = disc * np.clip(1 - usual / usual.max(), 0, 1)
@@ -228,8 +214,8 @@ MAX_BLUR_CROSSINGS = 24  # used to find the blur, for speed
 
 
 def find_strings(image: Image, target: Target) -> TargetPoints:
-    """Find the crossings of a grid of white strings on a dark ground, numbered from its two discs.
-    A mirrored image is not detected. Raises a CalibrationError if the grid or its discs are not found."""
+    """Find the crossings of white strings on a dark ground, numbered from two discs; a mirror image is not
+    noticed."""
     lattice, scale = best_lattice(image)
     node, pixel = lattice.node, lattice.pixel
     node = numbered_from_marks(image, _smooth_map(node, pixel), node)
@@ -241,9 +227,8 @@ def find_strings(image: Image, target: Target) -> TargetPoints:
 def _fitted(
     image: Image, node: Nodes, pixel: Array, scale: float
 ) -> tuple[Crossings, Nodes, tuple[str, ...]]:
-    """Fit all crossings of the grid, add crossings that were missed, and reject implausible ones.
-    `node` (n, 2) and `pixel` (n, 2) are the nodes found so far; `scale` is the scale of smoothing that found
-    them, px. Returns the fitted crossings, their node indices (n, 2), and notes."""
+    """Fit all crossings, add those that were missed, and reject implausible ones; return them, nodes and
+    notes."""
     height, width = image.shape
     smooth = _smooth_map(node, pixel)
     node = node[~_under_marks(node)]
@@ -302,17 +287,15 @@ def _smooth_map(node: Nodes, pixel: Array) -> SmoothMap:
 
 
 def _missing(node: Nodes) -> Nodes:
-    """Return the nodes (m, 2) within two indices of the nodes found that were not found themselves.
-    Nodes under a disc are left out."""
+    """Return the nodes (m, 2) not found within two indices of those found, without those under a disc."""
     places = around(node, WINDOW)
     present = set(map(tuple, node))
     return np.array([n for n in places[~_under_marks(places)] if tuple(n) not in present]).reshape(-1, 2)
 
 
 def _plausible(fit: Crossings, expected: Array, slopes: Array) -> Mask:
-    """Return a mask of the crossings that look like crossings of the grid.
-    They are near their expected pixels `expected` (n, 2), their strings follow the mesh vectors `slopes` (n,
-    2, 2), and at least three arms are bright."""
+    """Return a mask of crossings near `expected`, with strings along the mesh vectors and three bright
+    arms."""
     length = np.hypot(slopes[..., 0], slopes[..., 1])
     turn = fit.angle - np.arctan2(slopes[..., 1], slopes[..., 0])
     turn = np.abs((turn + np.pi / 2) % np.pi - np.pi / 2)
@@ -340,8 +323,7 @@ def _like_neighbours(fit: Crossings) -> Mask:
 
 
 def _lens_blur(image: Image, fit: Crossings, slopes: Array, good: Mask) -> float:
-    """Return the standard deviation of the blur by lens and pixel, px, that fits the strings best.
-    It comes from some of the crossings that the mask `good` selects."""
+    """Return the standard deviation of the blur by lens and pixel, px, that fits some crossings best."""
     chosen = np.flatnonzero(good)
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(MAX_BLUR_CROSSINGS, len(chosen))).astype(int)]
     misfit = np.empty(len(BLURS))
@@ -357,8 +339,7 @@ def _lens_blur(image: Image, fit: Crossings, slopes: Array, good: Mask) -> float
 
 
 def _noise(fit: Crossings, good: Mask) -> tuple[float, float]:
-    """Return the noise variance of a pixel at zero grey, and its increase per grey level.
-    Both come from the residuals of the crossings that the mask `good` selects."""
+    """Return the noise variance of a pixel at zero grey, and its increase per grey level."""
     ground, at_ground, string, at_string = np.median(fit.noise[good], axis=0)
     slope = max((at_string - at_ground) / max(string - ground, 1e-3), 0.0)
     return max(at_ground - slope * ground, 0.1 * at_ground, 1e-4), slope

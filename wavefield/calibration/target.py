@@ -46,11 +46,10 @@ class Target:
     shape : tuple of int, optional
         Number of nodes along x and y. A chessboard counts inner corners, a ChArUco board counts squares.
     origin_mark : str
-        Mark of node (0, 0): a disc (strings), a square (two-level) or a ring (dots). A grid of dots has
-        three rings: one at the origin, one along x and one along y.
+        Mark of node (0, 0) of strings: a disc.
     x_mark : str
-        Mark of the x axis. Strings: a small disc at node (1, 0). Two-level: a triangle, in the row of the
-        square. If both marks are between the dots, the triangle is at (1, 0) and the square at (0, 1).
+        Mark of the x axis. Strings: a small disc at node (1, 0). Two-level: a triangle at (1, 0), between
+        the dots; a square is at (0, 1).
     diameter : float, optional
         Diameter of a dot, m.
     dictionary : str
@@ -79,7 +78,7 @@ class Target:
     kind: Literal["strings", "chessboard", "dots", "charuco", "two-level", "points"]
     mesh: Length
     shape: tuple[Nodes, Nodes] | None = None
-    origin_mark: Literal["disc", "square", "ring"] = "disc"
+    origin_mark: Literal["disc", "square"] = "disc"
     x_mark: Literal["small disc", "triangle"] = "small disc"
     diameter: Length | None = None
     dictionary: str = "DICT_4X4_50"
@@ -90,9 +89,7 @@ class Target:
     def __post_init__(self) -> None:
         if self.kind == "two-level" and not self.depth:
             raise ValueError("a two-level target needs its depth, for example depth: 0.002 (metres)")
-        if self.origin_mark == "ring" and self.kind != "dots":
-            raise ValueError("origin_mark: ring is for a grid of dots only (kind: dots)")
-        if self.shape is None and self.kind not in ("strings", "two-level", "points") and not self.ringed:
+        if self.shape is None and self.kind not in ("strings", "two-level", "points"):
             raise ValueError(f"a {self.kind} target needs its shape, for example shape: [9, 6]")
         if self.diameter is not None and self.diameter >= self.mesh:
             raise ValueError("the target's dots are larger than its mesh; check diameter and mesh (metres)")
@@ -103,11 +100,6 @@ class Target:
                 raise ValueError(
                     "the target's markers are larger than its squares; check marker and mesh (metres)"
                 )
-
-    @property
-    def ringed(self) -> bool:
-        """Whether three rings mark the axes of a grid of dots; the grid may then be partly out of view."""
-        return self.origin_mark == "ring"
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], path: Path | None = None) -> "Target":

@@ -103,9 +103,8 @@ def scaled(image: NDArray[np.generic]) -> Image:
 
 
 def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None = None) -> TargetPoints | str:
-    """Find the target in an image file, or read its points from a table.
-    Returns the points, or a sentence for the user if that fails. `size` (width, height) is used for a table
-    that does not state the size of the image."""
+    """Return the target points in an image or table, or a sentence for the user if that fails.
+    `size` (width, height) is used for a table that does not state the size of the image."""
     try:
         if is_table(path):
             return read_points(path, size, unit=target.mesh if target.kind == "points" else None)
@@ -124,8 +123,8 @@ def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
 
 
 def placed_at(points: TargetPoints, height: float) -> TargetPoints:
-    """Return the points of a target that lies parallel to z = 0 at a known height, metres.
-    The target's axes are then those of the physical frame, and the points are marked as `placed`."""
+    """Return the points of a target parallel to z = 0 at a known height, metres, as positions in the
+    frame."""
     own = np.zeros(len(points)) if points.z is None else points.z
     return replace(points, z=own + height, placed=True)
 
@@ -138,7 +137,6 @@ def is_table(path: Path) -> bool:
 def calibrate_experiment(
     experiment: str | Path | Experiment,
     progress: Callable[[int, int], None] | None = None,
-    solving: Callable[[int, int], None] | None = None,
 ) -> TargetRig:
     """Calibrate the rig of an experiment from its target images.
 
@@ -148,8 +146,6 @@ def calibrate_experiment(
         An experiment with a `calibration:` block.
     progress : callable, optional
         Called with (images done, number of images).
-    solving : callable, optional
-        Called with (camera models fitted, number of models).
 
     Returns
     -------
@@ -174,16 +170,15 @@ def calibrate_experiment(
     images = find_views(experiment)
     section = experiment.calibration
     assert section is not None
-    poses = {pose for by_pose in images.values() for pose in by_pose}
-    unknown = sorted(set(section.heights) - poses)
+    poses = dict.fromkeys(pose for by_pose in images.values() for pose in by_pose)
+    unknown = sorted(set(section.heights) - set(poses))
     if unknown:
         raise CalibrationError(
             f"{experiment.path}: heights names {', '.join(unknown)}; the poses are {', '.join(sorted(poses))}"
         )
     target = Target.from_dict(section.target, experiment.path)
-    order = dict.fromkeys(pose for by_pose in images.values() for pose in by_pose)
     jobs = [
-        (camera, pose, images[camera][pose]) for pose in order for camera in images if pose in images[camera]
+        (camera, pose, images[camera][pose]) for pose in poses for camera in images if pose in images[camera]
     ]
     views: dict[str, dict[str, TargetPoints]] = {camera: {} for camera in images}
     notes: list[str] = []  # why images show no target
@@ -214,7 +209,6 @@ def calibrate_experiment(
         model=section.model,
         target_std=section.target_std,
         camera_distance=section.camera_distance,
-        progress=solving,
     )
     source = {"experiment": experiment.name, "target": dict(section.target), "images": named}
     rig = Rig(calibration.rig.cameras, {**calibration.rig.provenance, **source})

@@ -1,8 +1,8 @@
 """Find a two-level target: dots on the two levels of a stepped plate.
 
 The dots of each level form a lattice of cells two meshes wide. The dots of the other level are near the
-middles of these cells, shifted by the parallax between the levels. A square and a triangle mark the axes.
-They either replace two dots of one level, or lie between dots.
+middles of these cells, shifted by the parallax between the levels. A square and a triangle between the dots
+mark the axes.
 """
 
 import cv2
@@ -11,24 +11,20 @@ from scipy.spatial import cKDTree
 
 from wavefield.calibration.dots import dot_centres, find_blobs, make_points
 from wavefield.calibration.lattice import Candidates, SmoothMap, TargetLattice, cross, most_central
-from wavefield.calibration.observations import LIMITS, OUTLIER_DEVIATIONS
-from wavefield.calibration.points import Image, Mask, Nodes, TargetPoints
+from wavefield.calibration.observations import LIMITS
+from wavefield.calibration.points import Image, Nodes, TargetPoints
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import Array
-from wavefield.robust import robust_std
 
-MIN_SKEWNESS = 0.08  # of a triangle; most dots are below 0.03
-MAX_RATIO = 1.75  # between the differences of square and triangle from a dot; dust on one dot exceeds it
 PATCH_REACH = 0.19  # cells: half the side of the patch around a dot
 PATCH_SAMPLES = 25  # along each side of a patch
 MAX_OFF_SITE = 0.16  # meshes between a mark and the midpoint of two dots
 
 
 class PlateLevel:
-    """The dots of one level of a two-level target, with a smooth map from their indices to pixels.
-    `node` (n, 2) are indices in the level's own lattice. The dots are two meshes apart: in meshes, a dot is
-    at ``2 node + shift``. `shift` is 0 on the first level and 1 on the second."""
+    """The dots of one level, with a smooth map from their indices to pixels.
+    A dot is at ``2 node + shift`` meshes; `shift` is 0 on the first level and 1 on the second."""
 
     def __init__(self, node: Nodes, pixel: Array, shift: int = 0) -> None:
         self.node, self.pixel, self.shift = node, pixel, shift
@@ -51,42 +47,9 @@ class PlateLevel:
 PlateAxes = tuple[Nodes, Nodes, Nodes]
 
 
-def marks_in_place(image: Image, level: PlateLevel) -> tuple[PlateAxes, Nodes] | None:
-    """Find a square and a triangle that replace two dots of a level.
-    Returns the axes (origin, x, y) that they define, and the nodes (2, 2) of the square and the triangle. The
-    square is the origin, and x points from it to the triangle. None if there is no such pair."""
-    patch = _patches(image, level, level.node.astype(float), level.pixel)
-    difference = np.abs(patch - np.median(patch, 0)).mean(1)
-    middle = np.median(difference)
-    spread = robust_std(difference - middle) + 1e-6
-    edge = PATCH_REACH * level.side  # px; ignore patches that the image's edge cuts
-    far = ((level.pixel > edge) & (level.pixel < np.array(image.shape[::-1]) - 1 - edge)).all(1)
-    unusual = np.flatnonzero(far & (difference > middle + OUTLIER_DEVIATIONS * spread))
-    skewness = {int(k): _skewness(patch[k]) for k in unusual}
-    pairs = [
-        (float(difference[s] + difference[t]), s, t)
-        for s in skewness
-        for t in skewness
-        if skewness[t] > max(MIN_SKEWNESS, 2.0 * skewness[s])
-        and abs(np.log((difference[s] - middle) / (difference[t] - middle))) < np.log(MAX_RATIO)
-        and (level.node[s] == level.node[t]).any()
-    ]
-    if not pairs:
-        return None
-    square, triangle = level.node[list(max(pairs)[1:])]
-    turns = [np.array(t) for t in ((1, 0), (0, 1), (-1, 0), (0, -1))]
-    x = turns[int(np.argmax([t @ (triangle - square) for t in turns]))]
-    y = np.array([-x[1], x[0]])
-    if not _right_handed(level, square, x, y):
-        y = -y
-    return (2 * square + level.shift, x, y), np.stack([square, triangle])
-
-
 def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Array) -> PlateAxes | None:
-    """Find a triangle between two dots of `level` and a square between two dots of `other`.
-    Returns the axes (origin, x, y) that they define. The origin is the dot next to both marks; x points to
-    the triangle and y to the square. `centre` (n, 2), px, holds the centres of all blobs. None if there are
-    no such marks."""
+    """Return origin, x and y from a triangle between dots of `level` and a square between those of `other`.
+    The origin is the dot next to both marks. `centre` (n, 2), px, are all blobs. None without marks."""
     near = [cKDTree(one.pixel).query(centre)[0] < 0.1 * one.side for one in (level, other)]
     rest = centre[~near[0] & ~near[1]]
     if len(rest) < 2:
@@ -107,8 +70,7 @@ def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Ar
 
 
 def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
-    """Find the pixels that are midway between two dots of a row or column of the level.
-    Returns, by the index of the pixel in `pixel` (n, 2), its position in meshes (2,)."""
+    """Return, by index, the positions in meshes (2,) of pixels (n, 2) midway between two dots of a level."""
     mesh = 2 * level.index_of(pixel) + level.shift
     site = np.rint(mesh).astype(np.int64)
     good = (np.abs(mesh - site) < MAX_OFF_SITE).all(1) & (site.sum(1) % 2 == 1)
@@ -128,9 +90,7 @@ def _square_first(patch: Array) -> Nodes | None:
 
 
 def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Array:
-    """Sample the image around pixels on grids along the target's axes.
-    `index` (n, 2) are the pixels' indices in the lattice of `level`. Returns patches (n, samples), with
-    brightness from 0 to 1."""
+    """Sample the image around pixels of lattice index `index` (n, 2), as patches (n, samples) from 0 to 1."""
     a = PATCH_REACH * np.linspace(-1, 1, PATCH_SAMPLES)
     offset = np.stack(np.meshgrid(a, a), -1).reshape(-1, 2)
     places = level.smooth((index[:, None] + offset).reshape(-1, 2)).astype(np.float32)
@@ -145,8 +105,8 @@ def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Arr
 
 
 def _skewness(patch: Array) -> float:
-    """Return the asymmetry of the shape in a patch: large for triangles, small for squares and discs.
-    It is the size of the third moments over the cube of the radius of gyration."""
+    """Return the asymmetry of a patch: third moments over the cubed radius of gyration; large for
+    triangles."""
     light = np.where(patch > 0.3, patch, 0.0)
     a = np.linspace(-1, 1, PATCH_SAMPLES)
     x, y = (v.ravel() for v in np.meshgrid(a, a))
@@ -157,20 +117,16 @@ def _skewness(patch: Array) -> float:
     return float(np.hypot.reduce(moments) / size**3)
 
 
-MIN_MARK_WIDTH = 4.7  # px, of a dot, for its triangle to be recognised; smaller ones are confused with dust
 MAX_PARALLAX = 0.4  # cells: distance of the other level's dots from the middles of the cells
 DECISIVE_FRACTION = 0.4  # of all dots; a level with more of them ends the search
 
 
 def find_two_level(image: Image, target: Target) -> TargetPoints:
-    """Find the dots of a two-level target, dark on bright or bright on dark.
-    The target may be partly out of view, but its two marks must be in view. The parallax between the levels
-    must be less than a mesh, or dots are confused with their neighbours. Raises a CalibrationError if the two
-    levels or the marks are not found."""
+    """Find the dots of a two-level target that may be partly out of view; its two marks must be in view.
+    The parallax between the levels must be less than a mesh."""
     best: tuple[int, Image, PlateLevel, PlateLevel, Array] | None = None
     for polarity in (image, 255.0 - image):
-        blobs = find_blobs(polarity)
-        centre, area = blobs.centre, blobs.area
+        centre, area = find_blobs(polarity)
         strong = Candidates(centre, area, 1.0).strong if len(area) else np.zeros(0, bool)
         dots, area = centre[strong], area[strong]  # without specks
         one = _first_level(dots, area, polarity.shape[::-1])
@@ -186,36 +142,18 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
         )
     _, polarity, one, other, centre = best
     for marked, second in ((one, other), (other, one)):
-        between = marks_between(polarity, marked, second, centre)
-        in_place = None
-        if not between and _width(marked, target) >= MIN_MARK_WIDTH:
-            in_place = marks_in_place(polarity, marked)
-        if between:
-            return _numbered(polarity, marked, second, (between, np.empty((0, 2), int)), target)
-        if in_place:
-            return _numbered(polarity, marked, second, in_place, target)
-    width = min(_width(level, target) for level in (one, other))
-    small = f"; dots are {width:.1f} px wide: marks in their place must be five wide; move the camera closer"
+        axes = marks_between(polarity, marked, second, centre)
+        if axes:
+            return _numbered(polarity, marked, second, axes, target)
     raise CalibrationError(
-        "the square that marks the origin and the triangle that marks x are not both in view on one level of "
-        f"the target ({len(one.node)} and {len(other.node)} dots were found)"
-        f"{small if width < MIN_MARK_WIDTH else ''}"
+        "the triangle and the square between the dots are not both in view: they mark x, y and the origin of "
+        f"a two-level target ({len(one.node)} and {len(other.node)} dots were found)"
     )
 
 
-def _width(level: PlateLevel, target: Target) -> float:
-    """Return the smaller width of a typical dot of a level, px.
-    It is infinite if the target's diameter is not stated."""
-    if not target.diameter:
-        return np.inf
-    sizes = np.linalg.svd(level.smooth.slopes(level.node), compute_uv=False)[:, 1]
-    return float(np.median(sizes)) * target.diameter / (2.0 * target.mesh)
-
-
 def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLevel | None:
-    """Find the level with the most dots; the middles of its cells must hold dots of the other level.
-    `centre` (n, 2), px, and `area` (n,) describe all dots; `size` is the image's (width, height). None if
-    there is no such level."""
+    """Return the level with the most dots whose cells hold dots of the other level in their middles, or
+    None."""
     if len(centre) < 2 * LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)
@@ -247,9 +185,8 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
 
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
-    """Return pairs of mesh vectors, px, with which a lattice may grow from dot k.
-    A vector is accepted only if dots exist at its end, at its opposite, and at the sum of the two vectors.
-    Pairs that span the smallest cells come first. `tree` is the search tree of `centre` (n, 2), px."""
+    """Return pairs of mesh vectors, px, from dot k, the smallest cells first.
+    Dots must be at a vector's end, at its opposite, and at the sum of the two vectors."""
     _, near = tree.query(centre[k], min(22, len(centre)))
     vectors = centre[near[1:]] - centre[k]
     ends = cKDTree(vectors)
@@ -278,8 +215,7 @@ def _middles_filled(level: PlateLevel, centre: Array) -> bool:
 
 
 def _other_dots(level: PlateLevel, centre: Array) -> Array:
-    """Return the dots in the area of `level` that are not dots of this level, (m, 2), px.
-    `centre` (n, 2) holds all dots found."""
+    """Return the dots (m, 2) among `centre` (n, 2) in the area of `level` that are not its own."""
     distance, _ = cKDTree(level.pixel).query(centre)
     rest = centre[distance > 0.1 * level.side]
     if not len(rest):
@@ -290,9 +226,8 @@ def _other_dots(level: PlateLevel, centre: Array) -> Array:
 
 
 def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
-    """Find the other level: the dots near the middles of the cells of level `one`.
-    The parallax between the levels, which shifts them from the middles, may vary slowly. None if there are
-    too few."""
+    """Return the level of dots near the middles of the cells of `one`, shifted by a slowly varying
+    parallax."""
     rest = _other_dots(one, centre)
     if len(rest) < LIMITS.min_nodes:
         return None
@@ -315,21 +250,17 @@ def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
 
 
 def _numbered(
-    image: Image, marked: PlateLevel, second: PlateLevel, marks: tuple[PlateAxes, Nodes], target: Target
+    image: Image, marked: PlateLevel, second: PlateLevel, axes: PlateAxes, target: Target
 ) -> TargetPoints:
-    """Return the target points of both levels; their indices count meshes from the origin.
-    `marks` are the axes of the plate, and the nodes of the level `marked` where a mark stands in place of a
-    dot. These nodes are left out."""
-    (origin, x, y), replaced = marks
-    no_mark = ~(marked.node[:, None] == replaced).all(2).any(1)
+    """Return the target points of both levels; their indices count meshes from the origin of `axes`."""
+    origin, x, y = axes
 
-    def located(level: PlateLevel, dots: Mask) -> TargetPoints:
-        own = level.node[dots]
-        node = (2 * own + level.shift - origin) @ np.stack([x, y], -1)
-        pixel, noise, notes = dot_centres(image, own, level.pixel[dots], target, meshes=2)
+    def located(level: PlateLevel) -> TargetPoints:
+        node = (2 * level.node + level.shift - origin) @ np.stack([x, y], -1)
+        pixel, noise, notes = dot_centres(image, level.node, level.pixel, target, meshes=2)
         return make_points(image, node, pixel, notes, noise)
 
-    one, two = located(marked, no_mark), located(second, np.ones(len(second.node), bool))
+    one, two = located(marked), located(second)
     return TargetPoints(
         np.concatenate([one.node, two.node]),
         np.concatenate([one.pixel, two.pixel]),

@@ -47,8 +47,7 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
     for name in ("index.html", "numbers.yaml"):
         check_writable(folder / name, report)
     with Progress("Finding the target", "images") as progress:
-        solving = progress.stage_of("Solving for the cameras", "models")
-        result = calibrate_experiment(loaded, progress, solving)
+        result = calibrate_experiment(loaded, progress)
     calibration = result.calibration
     with Progress("Drawing the report"):
         page = write_calibration(calibration, folder, draw_found(result), report)
