@@ -31,8 +31,7 @@ TERMS: dict[str, tuple[str, ...]] = {
 
 
 def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
-    """Return the rotation R exp(v), where R is `rotation` and v `vector`, rad, and its derivatives (3, 3, 3)
-    by v."""
+    """Return the rotation R exp(v) of R (3, 3) and v (3,), rad, and its derivatives (3, 3, 3) by v."""
     R, jacobian = cv2.Rodrigues(np.asarray(vector, float))
     derivative = np.asarray(jacobian, float).reshape(3, 3, 3)
     return rotation @ np.asarray(R, float), rotation @ derivative
@@ -48,8 +47,7 @@ class ParameterLayout:
     pose: tuple[int | None, ...]  # Per pose: where its six parameters start in x; None for a fixed pose
 
     def pose_step(self, p: int, x: Array) -> Array:
-        """Return the rotation vector and translation (6,) by which x (p,) moves pose p; zero for a fixed
-        pose."""
+        """Return the rotation vector and translation (6,) by which x moves pose p; zero for a fixed pose."""
         k = self.pose[p]
         return np.zeros(6) if k is None else x[k : k + 6]
 
@@ -164,8 +162,7 @@ def linearised(
 def covariance_to_dict(
     names: tuple[str, ...], covariance: Array, cameras: tuple[str, ...]
 ) -> dict[str, list[str] | list[list[float]]]:
-    """Return the names of the cameras' parameters and the lower triangle of their covariance, for the rig
-    file."""
+    """Return the names of the cameras' parameters and the lower triangle of their covariance, as lists."""
     columns = [k for k, name in enumerate(names) if name.rsplit(" ", 1)[0] in cameras]
     part = covariance[np.ix_(columns, columns)]
     rows = [[float(f"{v:.12g}") for v in row[: k + 1]] for k, row in enumerate(part)]
@@ -177,8 +174,8 @@ HUBER_LIMIT = 4.0  # standard deviations beyond which the loss grows linearly; f
 
 
 class Whitener:
-    """Makes residuals uncorrelated if nodes are displaced by `target_std`, metres: multiplies by C^(-1/2). C
-    = I + target_std^2 B B^T, where B (n, 2, 3), 1/m, holds the derivatives of residuals by the node's
+    """Makes residuals uncorrelated if nodes are displaced by `target_std`, m: multiplies them by C^(-1/2). C
+    = I + target_std^2 B B^T; `by_node` B (n, 2, 3), 1/m, are derivatives of residuals by the node's
     position."""
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
@@ -289,8 +286,7 @@ def fit(
     placed: Sequence[int] = (),
 ) -> Fit:
     """Fit all cameras and poses of the target to all observations (bundle adjustment with Huber's loss).
-    `target_std`, metres, is that of nodes; `noise_scale` that of pixels in units of their stated
-    uncertainty."""
+    `target_std` is that of nodes, m; `noise_scale` that of pixels in units of their stated uncertainty."""
     o = observations
     plan = layout(o, models, reference, placed)
     start = replace(start, offset=np.zeros_like(start.offset))

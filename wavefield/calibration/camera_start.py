@@ -11,7 +11,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from wavefield.calibration.bundle import Fit, fit
+from wavefield.calibration.bundle import fit
 from wavefield.calibration.observations import LIMITS, Findings, Geometry, Observations
 from wavefield.errors import CalibrationError
 from wavefield.rig.lens import LENS, Array
@@ -27,8 +27,7 @@ def camera_to_camera(a: Pose, b: Pose) -> Pose:
 
 
 def mean_pose(poses: Iterable[Pose]) -> Pose:
-    """Average similar poses: the mean of the rotations, made orthogonal, and the median of the
-    translations."""
+    """Average similar poses: mean of the rotations, made orthogonal, and median of the translations."""
     rotations, translations = zip(*poses, strict=True)
     U, _, V = np.linalg.svd(np.mean(np.stack(rotations), axis=0))
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V, np.median(translations, axis=0)
@@ -68,8 +67,7 @@ def homography(plan: Array, pixel: Array) -> Array | None:
 
 
 def focal_length(homographies: list[Array], centre: Array) -> float | None:
-    """Compute the focal length, px, from homographies of a plane in several poses (Zhang 2000), or return
-    None. Pixels are square; `centre` (2,), px, is the principal point."""
+    """Return the focal length, px, from homographies of a plane in several poses (Zhang 2000), or None."""
     shift = np.eye(3)
     shift[:2, 2] = -centre
     rows = []
@@ -93,8 +91,7 @@ def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
 
 
 def plane_pose(H: Array, K: Array) -> Pose:
-    """Return the pose of a plane from its homography H (3, 3), metres to pixels, and the camera matrix K (3,
-    3)."""
+    """Return the pose of a plane from its homography H, metres to pixels, and the camera matrix K."""
     h = np.linalg.solve(K, H)
     h /= 0.5 * (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1]))
     if h[2, 2] < 0.0:  # the plane must be in front of the camera
@@ -109,28 +106,21 @@ def calibrate_single(observations: Observations) -> SingleCamera:
     Raises a CalibrationError if the views do not determine the focal length."""
     o = observations
     start, poses = _from_known_heights(o) if o.placed else _from_planes(o)
-    g = _first_fit(o, start, poses).geometry
+    terms = ("f", "k1") if len(poses) < 3 else START_TERMS
+    g = fit(o.only(np.isin(o.pose, poses)), start, [terms], poses[0], placed=o.placed).geometry
     fitted = {o.poses[p]: (g.R[0] @ g.pose_R[p], g.R[0] @ g.pose_t[p] + g.T[0]) for p in poses}
     normals = np.stack([R[:, 2] for R, _ in fitted.values()])
     spread = float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)).max()))
     return SingleCamera(g.lens[0], fitted, spread, known_heights=bool(o.placed))
 
 
-def _first_fit(o: Observations, start: Geometry, poses: list[int]) -> Fit:
-    """Fit one camera and the given poses of the target; the principal point needs three poses."""
-    used = o.only(np.isin(o.pose, poses))
-    terms = ("f", "k1") if len(poses) < 3 else START_TERMS
-    return fit(used, start, [terms], poses[0], placed=o.placed)
-
-
 def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
     """Return the geometry of one camera from its lens (12,) and the target's poses in its frame, by index."""
     pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
+    world, origin = poses[min(poses)]
     for p, (R, t) in poses.items():
-        pose_R[p], pose_t[p] = R, t
-    nowhere = np.zeros((len(o.nodes), 3))
-    start = Geometry(lens[None], np.eye(3)[None], np.zeros((1, 3)), pose_R, pose_t, nowhere)
-    return _in_frame_of_pose(start, min(poses))
+        pose_R[p], pose_t[p] = world.T @ R, world.T @ (t - origin)
+    return Geometry(lens[None], world[None], origin[None], pose_R, pose_t, np.zeros((len(o.nodes), 3)))
 
 
 def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
@@ -168,8 +158,7 @@ def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
 
 
 def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
-    """Start one camera from nodes of known position; return the geometry and the indices of the poses
-    found."""
+    """Start one camera from nodes of known position; return the geometry and indices of the poses found."""
     (name,), (size,) = o.cameras, o.sizes
     rows = np.isin(o.pose, o.placed)
     points, pixel = o.nominal[o.node[rows]], o.pixel[rows]
@@ -210,18 +199,6 @@ def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
     return Geometry(lens[None], R[None], T[None], pose_R, pose_t, np.zeros((len(o.nodes), 3))), poses
 
 
-def _in_frame_of_pose(geometry: Geometry, pose: int) -> Geometry:
-    """Return the geometry of one camera with the target's frame in the given pose as the world."""
-    Q, o = geometry.pose_R[pose], geometry.pose_t[pose]
-    return replace(
-        geometry,
-        R=geometry.R @ Q,
-        T=geometry.R @ o + geometry.T,
-        pose_R=Q.T @ geometry.pose_R,
-        pose_t=(geometry.pose_t - o) @ Q,
-    )
-
-
 MAX_ANGLE = 1.5  # degrees between a pose found by two cameras: hundredths if consistent, 3 or more if not
 MAX_SHIFT = 0.4  # meshes between the same; counting from a wrong node shifts the pose by one mesh
 
@@ -241,8 +218,7 @@ def transforms_by_pose(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
 
 
 def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsistency:
-    """Find views and cameras that contradict the others about the poses of the target; `mesh` is in
-    metres."""
+    """Find views and cameras that contradict the others about the poses of the target (`mesh` in m)."""
     names = list(cameras)
     pairs = [(a, b) for a, b in combinations(names, 2) if set(cameras[a].poses) & set(cameras[b].poses)]
     unlinked = [name for name in names if not any(name in pair for pair in pairs)] if len(names) > 1 else []
@@ -277,8 +253,7 @@ def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> dict[str, bo
 def _wrong_views(
     names: Sequence[str], pairs: Mapping[tuple[str, str], Mapping[str, bool]]
 ) -> list[tuple[str, str]]:
-    """Return the views (camera, pose) that contradict every other camera; both views if only two
-    contradict."""
+    """Return the views (camera, pose) that contradict all other cameras; both if only two saw the pose."""
     comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): agreement with each partner
     for cameras, agreement in pairs.items():
         for pose, good in agreement.items():
@@ -303,8 +278,7 @@ def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) -> Array:
-    """Return how far the target's origins that two cameras found are apart across b's sight line (3,),
-    metres."""
+    """Return how far the target's origins that a and b found are apart across b's sight line (3,), m."""
     expected = R @ a.poses[pose][1] + t
     observed = b.poses[pose][1]
     along = observed / np.linalg.norm(observed)
@@ -342,8 +316,7 @@ class PhysicalFrame:
 
 
 def physical_frame(observations: Observations, flat: str, findings: Findings) -> PhysicalFrame:
-    """Choose the poses that define the physical frame: those of known position, `flat`, or the most seen
-    one."""
+    """Choose the poses that define the frame: those of known position, `flat`, or the most seen one."""
     o = observations
     if o.placed:
         return PhysicalFrame(o.placed[0], placed=o.placed)

@@ -52,8 +52,7 @@ def find_blobs(image: Image) -> tuple[Array, Array]:
 
 
 def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
-    """Return the centroids (n, 2), px, of bright dots, corrected for uneven light, and their noise (n,),
-    px."""
+    """Return the centroids (n, 2), px, of bright dots in uneven light, and their noise (n,), px."""
     windows = _windows(image, node, pixel)
     level = np.array([np.percentile(value, [10, 98]) for _, _, value in windows])
     middle, extent = pixel.mean(0), np.ptp(pixel)
@@ -100,8 +99,7 @@ def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes
 
 
 def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
-    """Return the part of a mask (n,) of pixels x, y that is nearest to the point `at`, dilated by three
-    pixels."""
+    """Return the part of a mask (n,) of pixels x, y nearest to the point `at`, dilated by three pixels."""
     row, column = y - y.min() + 4, x - x.min() + 4
     raster = np.zeros((row.max() + 5, column.max() + 5), np.uint8)
     raster[row, column] = mask
@@ -136,8 +134,8 @@ def shape_of(target: Target) -> tuple[int, int]:
 def number_right_handed(
     image: Image | None, node: Nodes, pixel: Array, shape: tuple[int, int]
 ) -> tuple[Nodes, tuple[str, ...]]:
-    """Number the nodes of a complete grid right-handed seen from above, x to the right if several ways
-    remain. `image` is given only for a chessboard, where the square between (0, 0) and (1, 1) is dark."""
+    """Number a complete grid right-handed seen from above, x to the right if several ways remain.
+    `image` is given only for a chessboard, where the square between (0, 0) and (1, 1) is dark."""
     last = np.array(shape) - 1
     if cross(*SmoothMap(node, pixel).slopes(last[None] / 2)[0]) > 0:
         node = np.stack([node[:, 0], last[1] - node[:, 1]], -1)
@@ -185,12 +183,8 @@ def dot_centres(
 def make_points(
     image: Image, node: Nodes, pixel: Array, notes: tuple[str, ...] = (), noise: Array | float = 0.0
 ) -> TargetPoints:
-    """Make target points without outliers; their std is the larger of `noise`, px, and the scatter about a
-    map."""
-    try:
-        smooth = SmoothMap(node, pixel)
-    except ValueError:
-        raise CalibrationError("the points found are not on a plane target; photograph it again") from None
+    """Make target points without outliers; std is the larger of `noise`, px, and the scatter about a map."""
+    smooth = SmoothMap(node, pixel)
     free = max(len(node) - 4 - len(smooth.powers), 1)
     limited = np.minimum(smooth.misfit, OUTLIER_DEVIATIONS * smooth.spread)
     map_std = float(np.sqrt(limited**2 @ np.ones(len(node)) / (2 * free)))
@@ -234,8 +228,7 @@ def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> t
 
 
 def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:
-    """Return the largest lattice that grows from a dot near the middle; None if no lattice has enough
-    dots."""
+    """Return the largest lattice that grows from a dot near the middle; None if all are too small."""
     if len(centre) < LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from wavefield.calibration.observations import MIN_OUTLIER_PX, OUTLIER_DEVIATIONS
 from wavefield.calibration.points import Image, Mask, Nodes
 from wavefield.compiled import compiled
+from wavefield.errors import CalibrationError
 from wavefield.parabola import parabola_vertex
 from wavefield.rig.lens import Array
 from wavefield.robust import reweighted_lstsq, robust_std
@@ -45,9 +46,8 @@ def _typical_strength(strength: Array) -> float:
 
 
 def crossings(image: Image, scale: float) -> Candidates:
-    """Find maxima of the weaker principal curvature of an image smoothed with `scale` px (standard
-    deviation). The curvature vanishes along a line; only crossings and blobs are curved in both
-    directions."""
+    """Find maxima of the weaker principal curvature of an image smoothed with a Gaussian of `scale` px.
+    Along a line this curvature vanishes; only crossings and blobs are curved in both directions."""
     r = int(np.ceil(4 * scale))
     t = np.arange(-r, r + 1)
     g0 = np.exp(-0.5 * (t / scale) ** 2)
@@ -79,8 +79,7 @@ def crossings(image: Image, scale: float) -> Candidates:
 
 @compiled()
 def _weaker_curvature(xx: Image, yy: Image, xy: Image) -> Image:
-    """Return the weaker principal curvature at each pixel from second derivatives; positive on bright
-    crossings."""
+    """Return the weaker principal curvature of each pixel from second derivatives; positive if bright."""
     half = np.float32(0.5)
     out = np.empty_like(xx)
     for i in range(xx.shape[0]):
@@ -116,16 +115,14 @@ def around(node: Nodes, steps: Nodes) -> Nodes:
 
 
 def _windows(table: Array, node: Nodes) -> Array:
-    """Return the entries of a table (with node (0, 0) at REACH) within two indices of each node, (m, 25,
-    ...)."""
+    """Return the entries of a table, with node (0, 0) at REACH, around each node: (m, 25, ...)."""
     index = node[:, None] + WINDOW + REACH
     out: Array = table[index[..., 0], index[..., 1]]
     return out
 
 
 class TargetLattice:
-    """A lattice of nodes with their pixels, which grows from a node at `start` (2,) with steps e1 and e2,
-    px."""
+    """A lattice of nodes with their pixels that grows from a node at `start` (2,) with steps e1, e2, px."""
 
     def __init__(self, start: Array, e1: Array, e2: Array) -> None:
         self.place = np.full((2 * REACH + 1, 2 * REACH + 1, 2), np.nan)  # [i + REACH, j + REACH], px
@@ -159,8 +156,7 @@ class TargetLattice:
         return empty[((empty >= 2) & (empty < 2 * REACH - 1)).all(1)] - REACH
 
     def predict(self, node: Nodes) -> tuple[Array, Array]:
-        """Predict pixels (m, 2) and mesh vectors (m, 2, 2), px, of nodes from those found within two
-        indices."""
+        """Predict pixels (m, 2) and mesh vectors (m, 2, 2), px, of nodes from those nearby."""
         di, dj = WINDOW.astype(float).T
         basis = np.stack([np.ones(25), di, dj, di * dj, di * di, dj * dj], -1)
         window = _windows(self.place, node)  # (m, 25, 2)
@@ -175,8 +171,7 @@ class TargetLattice:
         return fit[:, 0], fit[:, 1:3]
 
     def grow(self, candidates: Candidates, size: tuple[int, ...]) -> None:
-        """Add the candidates near predicted nodes, until none is left; `size` is the image's (width,
-        height)."""
+        """Add the candidates near predicted nodes until none is left; `size` is (width, height), px."""
         tree = cKDTree(candidates.pixel)
         used = np.zeros(len(candidates.pixel) + 1, bool)
         used[-1] = True  # the tree's index for "none"
@@ -217,14 +212,14 @@ MIN_NODES_FOR_CUBIC = 40  # four times the ten coefficients of a cubic
 
 class SmoothMap:
     """A smooth map from node indices (n, 2) to pixels (n, 2): a homography and, for many nodes, a cubic.
-    Outliers have little weight. Raises a ValueError if no homography fits the nodes."""
+    Outliers have little weight. Raises a CalibrationError if no homography fits the nodes."""
 
     def __init__(self, node: ArrayLike, pixel: ArrayLike) -> None:
         node, pixel = np.asarray(node, float), np.asarray(pixel, float)
         tolerance = max(1.0, 0.1 * mesh_length(node, pixel))  # px: wide enough for the lens distortion
         matrix, vote = cv2.findHomography(node, pixel, cv2.RANSAC, tolerance)
         if matrix is None:
-            raise ValueError("no homography")
+            raise CalibrationError("the points found are not on a plane target; photograph it again")
         inlier = vote.ravel().astype(bool)
         self.matrix = matrix
         self.shift, self.scale = pixel.mean(0), max(float(np.ptp(pixel)) / 2, 1.0)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wavefield.calibration.observations import MIN_MATCHES
 from wavefield.calibration.platform import PlatformFit, find_horizon, fit_platform, jackknife_std
@@ -29,7 +28,6 @@ from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, masks
 from wavefield.text import spell_uncertain
 
-HORIZON_IMAGES = 12  # images of each camera that are searched for the horizon
 TILT_STD = 1.0  # degrees, of the mean surface, if the instants are too few to determine it
 
 
@@ -76,9 +74,8 @@ def level_on_water(
     horizons: Mapping[str, Array] | None = None,
     distance: float | None = None,
 ) -> Levelled:
-    """Bring z = 0 to the mean surface of moving water; `matches` holds pixels by pair of cameras, per
-    instant. With a `distance` of two cameras, metres, the second one is placed too, and the origin is below
-    them."""
+    """Bring z = 0 to the mean surface of moving water, from pixels by pair of cameras, for each instant.
+    A `distance` of two cameras, m, also places the second one; the origin is then below the cameras."""
     none = np.empty((0, 3))
     surfaces = [
         np.concatenate([none, *(points_of(rig[a], rig[b], pixels) for (a, b), pixels in by_pair.items())])
@@ -140,8 +137,7 @@ def _best_fit(
     horizons: Mapping[str, Array],
     distance: float | None,
 ) -> tuple[PlatformFit, tuple[float, float], str]:
-    """Fit the mean surface, with the horizon if it agrees; return the fit, its tilt and height std, a
-    sentence."""
+    """Fit the mean surface, and the horizon if it agrees; return the fit, tilt and height std, a sentence."""
     free = fit_platform(start, matches, {}, distance)
     std = jackknife_std(free, matches, {}, distance)
     if not horizons:
@@ -159,8 +155,7 @@ def _best_fit(
 
 
 def _epipolar_error(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> float:
-    """Return the median distance of matches from their epipolar lines, px, without outliers; NaN without
-    any."""
+    """Return the median distance of matches from their epipolar lines, px, without outliers."""
     distances = [
         epipolar_distance(rig[a], rig[b], *p.T, *q.T)
         for by_pair in matches
@@ -232,14 +227,13 @@ def level_experiment(
         )
     instants = evenly_spaced(len(series[first]), frames)
     matches: list[dict[tuple[str, str], Pixels]] = []
-    seen: dict[str, list[NDArray[np.generic]]] = {name: [] for name in loaded}
+    total: dict[str, Array] = {}  # sums of all images: the mean shows the horizon, but not the waves
     for done, instant in enumerate(instants, 1):
         images = {
             name: image for name in loaded if (image := series[name].read_uncovered(instant)) is not None
         }
         for name, image in images.items():
-            if len(seen[name]) < HORIZON_IMAGES:
-                seen[name].append(image)
+            total[name] = total.get(name, 0.0) + np.asarray(image, float)
         pairs = [(first, n) for n in others if first in images and n in images]
         matches.append({(a, b): match_features(images[a], images[b]) for a, b in pairs})
         if progress:
@@ -251,6 +245,6 @@ def level_experiment(
         second = place_second(loaded[first], loaded[others[0]], (a, b), distance)
         note = {"distance_m": distance, "matches": len(a)}
         loaded = Rig({first: loaded[first], others[0]: second}, {**loaded.provenance, "placed": note})
-    lines = {name: find_horizon(images, loaded[name]) for name, images in seen.items() if images}
+    lines = {name: find_horizon(image / len(instants), loaded[name]) for name, image in total.items()}
     horizons = {name: line for name, line in lines.items() if line is not None}
     return level_on_water(loaded, matches, horizons, distance)

@@ -4,7 +4,7 @@ The images are dewarped onto z = 0. If the sheet is elsewhere, the dewarped imag
 against each other; this shift is the disparity. Correlations in windows, summed over instants, measure it.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from wavefield.calibration.observations import MIN_MATCHES
+from wavefield.calibration.observations import MIN_MATCHES, OUTLIER_DEVIATIONS
 from wavefield.calibration.points import Image, Mask
 from wavefield.calibration.still_water import RigCheck, refine_and_level
 from wavefield.errors import CalibrationError
@@ -30,12 +30,10 @@ LIGHT_SCALE = 4.0  # px: wider variations of brightness are illumination, not pa
 MAX_BRIGHTNESS = 4.0  # standard deviations: limit of brightness, so that few bright particles do not dominate
 SMOOTHING = 1.5  # px: standard deviation of the Gaussian that joins the peaks of single particles
 PEAK_LEVEL = 0.5  # of the maximum; correlations above it belong to the peak
-MIN_PEAK = 6.0  # height of a significant peak, in standard deviations of the correlation around it
 
 
 def particles(image: Image, visible: Mask) -> Image:
-    """Remove the illumination from an image of particles, scale it to unit variance, and clip bright
-    particles."""
+    """Remove the illumination from an image, scale it to unit variance, and clip bright particles."""
     weight = cv2.GaussianBlur(visible.astype(np.float32), (0, 0), LIGHT_SCALE)
     light = cv2.GaussianBlur(np.where(visible, image, np.float32(0)), (0, 0), LIGHT_SCALE)
     rest = np.where(visible, image - light / np.maximum(weight, 1e-3), np.float32(0))
@@ -69,32 +67,19 @@ class Correlation:
             spectrum = scipy.fft.rfft2(pieces * self._taper, workers=1)
             self._sum[i] += np.conj(spectrum[0]) * spectrum[1]
 
-    def planes(self) -> Image:
-        """Return the correlation in each window, (rows, columns, side, side), as a function of displacement.
-        Zero displacement is in the middle."""
-        plane = scipy.fft.fftshift(scipy.fft.irfft2(self._sum, s=(self.side, self.side)), axes=(-2, -1))
-        out = np.ascontiguousarray(plane, np.float32)
-        for one in _each(out):
-            one[:] = cv2.GaussianBlur(one, (0, 0), SMOOTHING)
-        return out
-
-
-def _each(planes: Image) -> Iterator[Image]:
-    yield from planes.reshape(-1, *planes.shape[-2:])
-
-
-def disparities(planes: Image) -> Array:
-    """Return the displacement of the second image in each window, (n, m, 2), px along x and y.
-    `planes` are the correlations (n, m, side, side). Windows without a clear peak are NaN."""
-    return np.array([_centre(one) for one in _each(planes)]).reshape(*planes.shape[:2], 2)
+    def disparities(self) -> Array:
+        """Return the displacement of the second image in each window, (n, m, 2), px along x and y.
+        Windows without a clear peak are NaN."""
+        planes = scipy.fft.fftshift(scipy.fft.irfft2(self._sum, s=(self.side, self.side)), axes=(-2, -1))
+        smooth = [cv2.GaussianBlur(one, (0, 0), SMOOTHING) for one in planes.reshape(-1, *planes.shape[-2:])]
+        return np.array([_centre(np.asarray(one)) for one in smooth]).reshape(*planes.shape[:2], 2)
 
 
 def _centre(plane: Image) -> tuple[float, float]:
-    """Return the displacement (x, y) of the correlation peak, px; NaN if it is insignificant or at the
-    edge."""
+    """Return the displacement (x, y) of the correlation peak, px; NaN if insignificant or at the edge."""
     middle, peak = plane.shape[0] // 2, _peak(plane)
     background = plane[~cv2.dilate(peak.view(np.uint8), np.ones((9, 9), np.uint8)).view(bool)]
-    if not background.size or plane.max() - np.median(background) < MIN_PEAK * background.std():
+    if not background.size or plane.max() - np.median(background) < OUTLIER_DEVIATIONS * background.std():
         return np.nan, np.nan
     row, column = np.nonzero(peak)
     weight = plane[peak] - PEAK_LEVEL * plane.max()
@@ -114,8 +99,7 @@ Read = Callable[[str, int], NDArray[np.generic] | None]  # reads the image of a 
 
 
 class SheetWindows:
-    """Disparities of pairs of cameras in windows of `side` px of the dewarped images, summed over
-    instants."""
+    """Disparities of pairs of cameras in windows of `side` px, summed over instants."""
 
     def __init__(self, rig: Rig, side: int, read: Read, instants: Sequence[int]) -> None:
         self.rig = rig
@@ -135,11 +119,10 @@ class SheetWindows:
         self.pairs = pairs_of(rig, tuple(rig))
         self._correlations = {pair: Correlation(rows, columns, side) for pair in self.pairs}
         self.instants = self._add(read, instants, x, y)
-        self._disparities = {pair: disparities(total.planes()) for pair, total in self._correlations.items()}
+        self._disparities = {pair: total.disparities() for pair, total in self._correlations.items()}
 
     def _add(self, read: Read, instants: Sequence[int], x: Array, y: Array) -> int:
-        """Add the correlations of all instants at dewarped pixels x, y, metres; return the number of instants
-        used."""
+        """Add the correlations of all instants at dewarped pixels x, y, m; return the number used."""
         maps = {name: sight_map(self.rig[name], x, y) for name in self.rig}
         used = 0
         for k in instants:
@@ -155,8 +138,7 @@ class SheetWindows:
         return used
 
     def matches(self) -> dict[str, Array]:
-        """Return, by camera, the pixels (windows, 2) of the same particles; NaN where the disparity is
-        unknown."""
+        """Return, by camera, the pixels (windows, 2) of the same particles; NaN where unknown."""
         reference = self.pairs[0][0]
         out = {reference: self._pixels(reference, np.zeros((*self.x.shape, 2)))}
         out |= {name: self._pixels(name, shift) for (_, name), shift in self._disparities.items()}

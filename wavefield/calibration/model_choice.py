@@ -25,8 +25,7 @@ class PredictedErrors:
 
 
 def predict_errors(observations: Observations, result: Fit, level: bool = True) -> PredictedErrors:
-    """Propagate the covariance of the fit to pixels and z: near z = 0 if it is known (`level`), else at the
-    target."""
+    """Propagate the covariance of the fit to pixels and z, near z = 0, or at the target if not `level`."""
     o = observations
     points = volume_points(o, result, level)
     _, J, by_point = project_points(o, result, points)
@@ -65,8 +64,7 @@ def project_points(observations: Observations, result: Fit, points: Array) -> tu
 
 
 def volume_points(o: Observations, result: Fit, level: bool) -> Array:
-    """Return points (n, 3), metres, within `HEIGHT` of z = 0 in the common field; if not `level`, target
-    nodes."""
+    """Return points (n, 3), m, near z = 0 in the common field, or the target's nodes if not `level`."""
     g = result.geometry
     if not level:
         world = g.world(o)
@@ -129,8 +127,7 @@ def choose_model(
 
 
 def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: Array) -> dict[str, float]:
-    """Return the expected rms error of a pixel, px, by model: parameter uncertainty and bias from
-    `reference`."""
+    """Return each model's expected rms error of a pixel, px: variance, and bias from `reference`."""
     pixel: dict[str, Array] = {}
     variance: dict[str, float] = {}
     for name, f in fits.items():

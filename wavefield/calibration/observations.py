@@ -51,9 +51,6 @@ class Findings:
             self.notes.append(f"{view}: {reason}; left out")
 
 
-Index = Nodes
-
-
 @dataclass(frozen=True)
 class Observations:
     """All n observations of a target: each is the pixel of one of N nodes, in one pose, in one camera."""
@@ -61,12 +58,12 @@ class Observations:
     cameras: tuple[str, ...]  # Names; `camera` below holds indices of them, as `pose` does of `poses`
     poses: tuple[str, ...]
     sizes: tuple[tuple[int, int], ...]  # Image (width, height) of each camera, px
-    nodes: Index  # (N, 2): Indices (i, j) of the nodes that were observed
+    nodes: Nodes  # (N, 2): Indices (i, j) of the nodes that were observed
     nominal: Array  # (N, 3): Their nominal positions in the target's axes, metres
     mesh: float  # Distance of neighbouring nodes, metres
-    camera: Index  # (n,): Camera of each observation
-    pose: Index  # (n,): Pose of the target
-    node: Index  # (n,): Row of `nodes`
+    camera: Nodes  # (n,): Camera of each observation
+    pose: Nodes  # (n,): Pose of the target
+    node: Nodes  # (n,): Row of `nodes`
     pixel: Array  # (n, 2): Position in the image, px
     std: Array  # (n,): Standard uncertainty per axis, px
     placed: tuple[int, ...] = ()  # Poses whose nominal positions are in the physical frame
@@ -83,8 +80,7 @@ class Observations:
     def of_points(
         cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], poses: tuple[str, ...], count: int
     ) -> "Observations":
-        """Make observations of `count` free points, each seen by all cameras, at the positions
-        `Geometry.offset`."""
+        """Make observations of `count` free points, seen by all cameras, placed by `Geometry.offset`."""
         n = len(cameras) * count
         return Observations(
             cameras,
@@ -137,8 +133,7 @@ def collect(
 
 @dataclass(frozen=True)
 class Geometry:
-    """Lenses and positions of C cameras, P poses of the target and offsets of its N nodes, in the physical
-    frame."""
+    """Lenses and positions of C cameras, P poses of the target and offsets of its N nodes."""
 
     lens: Array  # (C, 12): Lens of each camera, in the order of `LENS`
     R: Array  # (C, 3, 3): Rotation from world to camera
@@ -169,8 +164,7 @@ class Geometry:
 
 
 def common_extent(cameras: Sequence[Camera], nominal: Array) -> tuple[Array, Array]:
-    """Return the corners (x, y), metres, of the field on z = 0 that all cameras see, or of the nodes'
-    positions."""
+    """Return the corners (x, y), m, of the field on z = 0 that all cameras see, or else of the nodes."""
     try:
         views = [view_on_water(camera) for camera in cameras]
     except RigError:  # without a flat view, the plane z = 0 may be out of view

@@ -14,8 +14,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student_t
 
-from wavefield.calibration.observations import MAX_MATCHES
+from wavefield.calibration.observations import MAX_MATCHES, OUTLIER_DEVIATIONS
 from wavefield.calibration.relative_pose import MAX_EPIPOLAR_ERROR, Pixels
+from wavefield.parabola import parabola_vertex
 from wavefield.rig import Camera
 from wavefield.rig.field import MAX_DISTANCE_RATIO
 from wavefield.rig.lens import Array
@@ -24,11 +25,8 @@ from wavefield.robust import robust_std
 
 EARTH_RADIUS = 6.371e6 / 0.87  # m; refraction by air acts as if the Earth were larger (Bomford 1980)
 SMOOTHING = 2.0  # px: standard deviation of the Gaussian that smooths the mean image
-COLUMNS = 160  # image columns in which the horizon is searched, at most, for speed
 EDGES = 4  # strongest edges of a column that are tried as the horizon
-MAX_MISFIT = 1.0  # px between a point of the horizon and the line
 MIN_COLUMNS = 0.7  # fraction of the columns in which the line must be found; ships and piles hide it
-MIN_CONTRAST = 5.0  # gradient of an edge, in standard deviations of its noise
 TRIALS = 2000  # of RANSAC; with one true edge in eight, thirty of them pick two points of the line
 
 
@@ -37,44 +35,27 @@ def dip(height: float) -> float:
     return float(np.sqrt(2.0 * max(height, 0.0) / EARTH_RADIUS))
 
 
-def find_horizon(images: Sequence[NDArray[np.generic]], camera: Camera) -> Array | None:
-    """Find points (n, 2), px, of the horizon in the mean of images of a fixed camera; None if there is none.
+def find_horizon(mean: NDArray[np.generic], camera: Camera) -> Array | None:
+    """Find points (n, 2), px, of the horizon in the mean image of a fixed camera; None if there is none.
     The horizon is straight in the undistorted image, with a roll of up to 45 degrees."""
-    # the mean image shows the horizon, but not the waves
-    mean = np.asarray(np.mean([np.asarray(image, float) for image in images], axis=0), np.float32)
-    smooth = np.asarray(cv2.GaussianBlur(mean, (0, 0), SMOOTHING), np.float32)
-    gradient = np.zeros_like(smooth)
-    gradient[1:-1] = 0.5 * (smooth[2:] - smooth[:-2])
-    points, strength = _edges(gradient)
-    if len(points) < 2:
+    smooth = np.asarray(cv2.GaussianBlur(np.asarray(mean, np.float32), (0, 0), SMOOTHING), float)
+    steepness = np.abs(np.gradient(smooth, axis=0))
+    above, here, below = steepness[:-2], steepness[1:-1], steepness[2:]
+    noise = 1.4826 * float(np.median(steepness))
+    edge = np.where((here >= above) & (here > below) & (here > OUTLIER_DEVIATIONS * noise), here, 0.0)
+    row = np.argsort(-edge, axis=0)[:EDGES]  # the steepest of each column
+    column = np.broadcast_to(np.arange(edge.shape[1]), row.shape)
+    found = edge[row, column] > 0
+    at = row[found], column[found]
+    if len(at[0]) < 2:
         return None
+    points = np.column_stack([at[1], 1 + at[0] + parabola_vertex(above[at], here[at], below[at])])
     tangents = np.stack(camera.tangents(*points.T), axis=-1)
-    columns = len(np.unique(points[:, 0]))
-    inlier = _line(tangents, points[:, 0], strength, MAX_MISFIT / camera.fy)
-    found = points[inlier]
-    if len(np.unique(found[:, 0])) < MIN_COLUMNS * columns:
-        return None
-    return found
+    horizon = points[_line(tangents, here[at], 1.0 / camera.fy)]  # within a pixel
+    return None if np.unique(horizon[:, 0]).size < MIN_COLUMNS * np.unique(at[1]).size else horizon
 
 
-def _edges(gradient: NDArray[np.float32]) -> tuple[Array, Array]:
-    """Return positions (n, 2), px, and absolute gradients (n,) of the steepest edges in some columns."""
-    width = gradient.shape[1]
-    noise = 1.4826 * float(np.median(np.abs(gradient)))
-    points, strength = [], []
-    for column in np.unique(np.linspace(4, width - 5, COLUMNS).astype(int)):
-        line = np.abs(gradient[:, column])
-        inner = line[1:-1]
-        rows = 1 + np.flatnonzero((inner >= line[:-2]) & (inner > line[2:]) & (inner > MIN_CONTRAST * noise))
-        rows = rows[np.argsort(line[rows])[::-1][:EDGES]]
-        before, here, after = line[rows - 1], line[rows], line[rows + 1]
-        peak = rows + 0.5 * (before - after) / np.minimum(before - 2.0 * here + after, -1e-9)
-        points += [(float(column), float(row)) for row in peak]
-        strength += here.tolist()
-    return np.array(points, float).reshape(-1, 2), np.array(strength, float)
-
-
-def _line(tangents: Array, column: Array, strength: Array, reach: float) -> NDArray[np.bool_]:
+def _line(tangents: Array, strength: Array, reach: float) -> NDArray[np.bool_]:
     """Return a mask (n,) of the edges on the straight line with the most gradient (RANSAC).
     `tangents` (n, 2) are undistorted positions; `reach` is the largest distance from the line."""
     rng = np.random.default_rng(0)
@@ -111,7 +92,6 @@ WAVES_IN_VIEW = 20.0  # independent elevations at an instant, as neighbouring fe
 HORIZON_ERROR = 0.3  # px: systematic error of the whole line
 GROUPS = 8  # of successive instants, for the jackknife
 MIN_DOWN = 0.02  # sine of the smallest angle of a sight line below the horizontal, about one degree
-HUGE = 1e3  # px: residual of a match that is not on the water in front of both cameras
 
 
 @dataclass(frozen=True)
@@ -128,14 +108,12 @@ class PlatformFit:
 
     def distance(self, matches: Sequence[Mapping[Pair, Pixels]]) -> float:
         """Return the median distance of the matched features from the first camera, m; 0 without matches."""
-        name = next(iter(self.cameras))
-        rays = [
-            sight_lines(self.cameras[name], np.reshape(pixels[0], (-1, 2))) @ self.cameras[name].R @ self.up
-            for one in matches
-            for pair, pixels in one.items()
-            if pair[0] == name
-        ]
-        return self.height(name) / max(float(np.median(-np.concatenate(rays))), MIN_DOWN) if rays else 0.0
+        name, camera = next(iter(self.cameras.items()))
+        pixels = [a for one in matches for (first, _), (a, _) in one.items() if first == name and len(a)]
+        if not pixels:
+            return 0.0
+        down = -sight_lines(camera, np.concatenate(pixels)) @ camera.R @ self.up
+        return self.height(name) / max(float(np.median(down)), MIN_DOWN)
 
 
 @dataclass(frozen=True)
@@ -154,8 +132,8 @@ def fit_platform(
     horizons: Mapping[str, Array],
     distance: float | None = None,
 ) -> PlatformFit:
-    """Fit level and height of the cameras to matches and horizons, and the second camera's pose to
-    `distance`. Residuals are distances of matches across and along their epipolar lines (waves), and from the
+    """Fit level and height of the cameras, and with `distance` the second one's pose, to matches and
+    horizons. Residuals are distances of matches across and along epipolar lines (waves), and from the
     horizon."""
     kept = [one for one in _joined(matches) if len(one.a)]
     kept = [_on_water(start, one) for one in kept]
@@ -228,8 +206,7 @@ def _on_water(fit: PlatformFit, one: _Match) -> _Match:
 
 
 def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
-    """Return the fit after a step x: of the second camera's turn (3) and shift (2) if it is placed,
-    then of the plane's tilt (2) and rise (1)."""
+    """Return the fit after a step x: turn (3), shift (2) of a placed camera, tilt (2), rise (1)."""
     cameras = dict(fit.cameras)
     if distance is not None:
         one, name = list(cameras)[:2]
@@ -246,8 +223,7 @@ def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
 
 
 def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Array]:
-    """Return distances of matches across and along epipolar lines, px, and the latter per metre of
-    elevation."""
+    """Return distances of matches across and along epipolar lines, px, and the latter's change per m of z."""
     first, second = (fit.cameras[name] for name in one.pair)
     rays = sight_lines(first, one.a) @ first.R
     down = np.minimum(rays @ fit.up, -MIN_DOWN / 4)
@@ -258,7 +234,9 @@ def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Arra
     per_metre = np.maximum(np.hypot(*shift.T), 1e-6)
     along = np.sum((one.b - np.stack(second.project(*place.T), axis=-1)) * shift, axis=1) / per_metre
     across = epipolar_distance(first, second, *one.a.T, *one.b.T)
-    return np.nan_to_num(across, nan=HUGE), np.nan_to_num(along, nan=HUGE), np.nan_to_num(per_metre, nan=1.0)
+    # a match that is not on the water in front of both cameras is off by a radian
+    across, along = (np.nan_to_num(part, nan=second.fx) for part in (across, along))
+    return across, along, np.nan_to_num(per_metre, nan=1.0)
 
 
 def _sizes(fit: PlatformFit, one: _Match) -> tuple[float, Array]:

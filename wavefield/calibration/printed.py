@@ -39,8 +39,7 @@ def _refined(image: Image, node: Nodes, pixel: Array, reach: float = 0.35) -> Ar
 
 
 def _chessboard_corners(image: Image, shape: tuple[int, int]) -> Array | None:
-    """Return the corners (n, 2), px, from the first of several OpenCV detectors that finds the board, or
-    None."""
+    """Return the corners (n, 2), px, from the first of several OpenCV detectors that finds them, or None."""
     picture, factor = _as_bytes(image), 1.0
     while max(picture.shape) > MAX_SEARCH_SIZE:
         half = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)

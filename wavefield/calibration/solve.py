@@ -124,11 +124,6 @@ def calibrate(
     CalibrationError
         If the camera model is not made of known terms.
 
-    Notes
-    -----
-    Zhang's method calibrates each camera alone. The target's poses that the cameras found are compared. Then
-    one fit solves for all cameras and poses (bundle adjustment with Huber's loss).
-
     Examples
     --------
     The paper's cameras from points of four tilted views and a flat one:
@@ -229,8 +224,7 @@ def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observat
 
 
 def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
-    """Return a mask (n,) of the observations to keep: without a bad view if there is one, else without bad
-    points."""
+    """Return a mask (n,) of the observations to keep: all but those of a bad view, or else bad points."""
     deviation = np.abs(result.residual).max(axis=1) / o.std
     view = o.camera * len(o.poses) + o.pose
     spread = {

@@ -52,9 +52,8 @@ def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
 
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
-    """Return the points x, y, z, each (n,), metres, that are nearest to the sight lines of matched pixels.
-    The fourth result holds the reprojection errors (n, cameras, 2), px: observed minus projected pixels, with
-    the cameras in the rig's order."""
+    """Return the points x, y, z, (n,), m, nearest to sight lines, and reprojection errors (n, cameras, 2),
+    px."""
     names, pixel = stack_matches(rig, matches)
     cameras = [rig[name] for name in names]
     apparent = np.stack([np.stack(c.unproject(*pixel[:, k].T)) for k, c in enumerate(cameras)])
@@ -80,9 +79,8 @@ class Solution:
 
 
 class SightLineFit:
-    """Least-squares fit of the cameras of a rig to matched pixels.
-    The calibration of the rig, with its covariance, is the prior. `std` is the standard uncertainty of a
-    matched pixel per axis, px."""
+    """Least-squares fit of a rig's cameras to matched pixels of std `std`, px; its calibration is the
+    prior."""
 
     def __init__(self, rig: Rig, matches: Matches, std: float):
         self.names, pixel = stack_matches(rig, matches)
@@ -116,8 +114,7 @@ class SightLineFit:
 
     @property
     def matches(self) -> dict[str, Array]:
-        """The matched pixels (n, 2) that the fit uses, by camera.
-        NaN where a camera does not see the point."""
+        """The matched pixels (n, 2) that the fit uses, by camera; NaN where a camera sees no point."""
         return {name: self.pixel[:, k] for k, name in enumerate(self.names)}
 
     def rig_at(self, x: Array) -> Rig:
@@ -266,8 +263,7 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
 
 
 def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
-    """Decide whether a camera has moved; also return the solution for each camera that may have (None:
-    none)."""
+    """Decide whether a camera has moved; also return the solution for each that may have (None: none)."""
     solutions: dict[str | None, Solution] = {None: problem.solve(())}
     for name in problem.names:
         solutions[name] = problem.solve((name,))
@@ -324,7 +320,7 @@ def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: floa
 
 
 def _refined(problem: SightLineFit, solution: Solution, check: RigCheck) -> Rig:
-    """Return the rig with the cameras of a solution, and add the key `refined` to its provenance."""
+    """Return the rig with the cameras of a solution, and `refined` in its provenance."""
     note = {
         "misfit_before_px": check.misfit,
         "misfit_after_px": solution.misfit,

@@ -101,9 +101,8 @@ def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: flo
 def _rows(
     pixels: Array, p: Array, blur: float, variance: Pair, spread: float, free: int, misses: Array, rows: Array
 ) -> float:
-    """Fill `rows` (13, n), the weighted derivatives by `free` parameters (linear ones first) and the
-    residuals. `misses` (2, n) gets residuals in grey and in standard deviations. Returns the number of pixels
-    with weight."""
+    """Fill `rows` (13, n): weighted derivatives by `free` parameters, linear ones first, and residuals.
+    `misses` (2, n) gets residuals in grey and in standard deviations. Returns how many pixels count."""
     c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
     count = 0.0
     for k in range(pixels.shape[1]):

@@ -174,8 +174,7 @@ def _pairs_of_discs(
 
 
 def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
-    """Return the excess brightness (node, circle, direction) over a typical node, and that node's
-    brightness."""
+    """Return the brightness (node, circle, direction) beyond a typical node's, and the typical one."""
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
     offset = CIRCLES[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -186,8 +185,7 @@ def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
 
 
 def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
-    """Fit a uniform disc around each node; return quality (explained over residual), radius (meshes) and
-    grey."""
+    """Fit a uniform disc at each node; return quality (explained over residual), radius, meshes, and grey."""
     noise = np.median(np.abs(excess[:, -10:])) + 1e-3
     disc = np.clip((DISC_RADII[:, None] - CIRCLES) / 0.05 + 0.5, 0, 1)[..., None]
     disc = disc * np.clip(1 - usual / usual.max(), 0, 1)
@@ -214,11 +212,10 @@ MAX_BLUR_CROSSINGS = 24  # used to find the blur, for speed
 
 
 def find_strings(image: Image, target: Target) -> TargetPoints:
-    """Find the crossings of white strings on a dark ground, numbered from two discs; a mirror image is not
-    noticed."""
+    """Find crossings of white strings, numbered from two discs; a mirrored image is not noticed."""
     lattice, scale = best_lattice(image)
     node, pixel = lattice.node, lattice.pixel
-    node = numbered_from_marks(image, _smooth_map(node, pixel), node)
+    node = numbered_from_marks(image, SmoothMap(node, pixel), node)
     fit, node, notes = _fitted(image, node, pixel, scale)
     height, width = image.shape
     return TargetPoints(node, fit.pixel, fit.std, (width, height), notes)
@@ -227,10 +224,9 @@ def find_strings(image: Image, target: Target) -> TargetPoints:
 def _fitted(
     image: Image, node: Nodes, pixel: Array, scale: float
 ) -> tuple[Crossings, Nodes, tuple[str, ...]]:
-    """Fit all crossings, add those that were missed, and reject implausible ones; return them, nodes and
-    notes."""
+    """Fit crossings, add missed ones, and reject implausible ones; return them, their nodes, and notes."""
     height, width = image.shape
-    smooth = _smooth_map(node, pixel)
+    smooth = SmoothMap(node, pixel)
     node = node[~_under_marks(node)]
     pixel, slopes = smooth(node), smooth.slopes(node)
     blur = float(np.median(BLURS))
@@ -243,7 +239,7 @@ def _fitted(
     blur = _lens_blur(image, fit, slopes, good)
     parameters, node = fit.parameters[good], node[good]
     for _ in range(3):
-        smooth = _smooth_map(node, parameters[:, :2])
+        smooth = SmoothMap(node, parameters[:, :2])
         missing = _missing(node)
         expected = smooth(missing)
         inside = ((expected > 1) & (expected < [width - 2, height - 2])).all(1)
@@ -260,9 +256,9 @@ def _fitted(
             break
     slopes = smooth.slopes(node)
     fit = fit_crossings(image, parameters, slopes, blur, noise)
-    good = _plausible(fit, _smooth_map(node, fit.pixel)(node), slopes) & _like_neighbours(fit)
+    good = _plausible(fit, SmoothMap(node, fit.pixel)(node), slopes) & _like_neighbours(fit)
     good &= ((fit.pixel > -0.5) & (fit.pixel < [width - 0.5, height - 0.5])).all(1)
-    good[good] = _smooth_map(node[good], fit.pixel[good]).inlier(fit.std[good])
+    good[good] = SmoothMap(node[good], fit.pixel[good]).inlier(fit.std[good])
     if good.sum() < LIMITS.min_nodes:
         raise CalibrationError(
             f"only {good.sum()} usable crossings of strings were found, {LIMITS.min_nodes} at least are "
@@ -278,14 +274,6 @@ def _under_marks(node: Nodes) -> Mask:
     return out
 
 
-def _smooth_map(node: Nodes, pixel: Array) -> SmoothMap:
-    """Fit a smooth map from nodes to pixels; raises a CalibrationError if the nodes are not on a plane."""
-    try:
-        return SmoothMap(node, pixel)
-    except ValueError:
-        raise CalibrationError(NO_GRID) from None
-
-
 def _missing(node: Nodes) -> Nodes:
     """Return the nodes (m, 2) not found within two indices of those found, without those under a disc."""
     places = around(node, WINDOW)
@@ -294,8 +282,7 @@ def _missing(node: Nodes) -> Nodes:
 
 
 def _plausible(fit: Crossings, expected: Array, slopes: Array) -> Mask:
-    """Return a mask of crossings near `expected`, with strings along the mesh vectors and three bright
-    arms."""
+    """Return a mask of crossings near `expected`, along the mesh vectors, with three bright arms."""
     length = np.hypot(slopes[..., 0], slopes[..., 1])
     turn = fit.angle - np.arctan2(slopes[..., 1], slopes[..., 0])
     turn = np.abs((turn + np.pi / 2) % np.pi - np.pi / 2)

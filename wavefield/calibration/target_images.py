@@ -123,8 +123,7 @@ def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
 
 
 def placed_at(points: TargetPoints, height: float) -> TargetPoints:
-    """Return the points of a target parallel to z = 0 at a known height, metres, as positions in the
-    frame."""
+    """Return the points of a target parallel to z = 0 at a height, m, as positions in the frame."""
     own = np.zeros(len(points)) if points.z is None else points.z
     return replace(points, z=own + height, placed=True)
 

@@ -10,7 +10,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from wavefield.calibration.dots import dot_centres, find_blobs, make_points
-from wavefield.calibration.lattice import Candidates, SmoothMap, TargetLattice, cross, most_central
+from wavefield.calibration.lattice import (
+    MAX_MISFIT,
+    Candidates,
+    SmoothMap,
+    TargetLattice,
+    cross,
+    most_central,
+)
 from wavefield.calibration.observations import LIMITS
 from wavefield.calibration.points import Image, Nodes, TargetPoints
 from wavefield.calibration.target import Target
@@ -19,7 +26,6 @@ from wavefield.rig.lens import Array
 
 PATCH_REACH = 0.19  # cells: half the side of the patch around a dot
 PATCH_SAMPLES = 25  # along each side of a patch
-MAX_OFF_SITE = 0.16  # meshes between a mark and the midpoint of two dots
 
 
 class PlateLevel:
@@ -73,7 +79,7 @@ def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
     """Return, by index, the positions in meshes (2,) of pixels (n, 2) midway between two dots of a level."""
     mesh = 2 * level.index_of(pixel) + level.shift
     site = np.rint(mesh).astype(np.int64)
-    good = (np.abs(mesh - site) < MAX_OFF_SITE).all(1) & (site.sum(1) % 2 == 1)
+    good = (np.abs(mesh - site) < MAX_MISFIT).all(1) & (site.sum(1) % 2 == 1)
     return {int(k): site[k] for k in np.flatnonzero(good)}
 
 
@@ -105,8 +111,7 @@ def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Arr
 
 
 def _skewness(patch: Array) -> float:
-    """Return the asymmetry of a patch: third moments over the cubed radius of gyration; large for
-    triangles."""
+    """Return the asymmetry of a patch: third moments over the cubed size; large for triangles."""
     light = np.where(patch > 0.3, patch, 0.0)
     a = np.linspace(-1, 1, PATCH_SAMPLES)
     x, y = (v.ravel() for v in np.meshgrid(a, a))
@@ -146,14 +151,13 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
         if axes:
             return _numbered(polarity, marked, second, axes, target)
     raise CalibrationError(
-        "the triangle and the square between the dots are not both in view: they mark x, y and the origin of "
-        f"a two-level target ({len(one.node)} and {len(other.node)} dots were found)"
+        "the triangle and the square that mark the axes between the dots are not both in view "
+        f"({len(one.node)} and {len(other.node)} dots were found)"
     )
 
 
 def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLevel | None:
-    """Return the level with the most dots whose cells hold dots of the other level in their middles, or
-    None."""
+    """Return the level with the most dots, if its cells hold dots of the other level, or None."""
     if len(centre) < 2 * LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)
@@ -176,7 +180,7 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
     """Make a level from dots without outliers; None if too few dots are left."""
     try:
         level = PlateLevel(node, pixel, shift)
-    except (ValueError, np.linalg.LinAlgError):
+    except (CalibrationError, np.linalg.LinAlgError):
         return None
     inlier = level.smooth.inlier()
     if inlier.sum() < LIMITS.min_nodes:
@@ -226,8 +230,7 @@ def _other_dots(level: PlateLevel, centre: Array) -> Array:
 
 
 def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
-    """Return the level of dots near the middles of the cells of `one`, shifted by a slowly varying
-    parallax."""
+    """Return the level of dots in the middles of the cells of `one`, but for a smooth parallax."""
     rest = _other_dots(one, centre)
     if len(rest) < LIMITS.min_nodes:
         return None

@@ -15,12 +15,8 @@ T = TypeVar("T")
 
 
 class FrameHistory(Generic[T]):
-    """The states of a simulation: `history[frame]` computes the state at a frame, step by step.
-
-    `first` is the state at frame 0. `advance(state, frame)` returns the state at frame + 1 from the state at
-    `frame`. Only the first state and a few latest states are kept: an earlier frame is computed again from
-    frame 0.
-    """
+    """The states of a simulation, by frame, computed one after the other with `advance(state, frame)`.
+    Only the first and a few latest are kept: an earlier one is computed again from frame 0."""
 
     def __init__(self, first: T, advance: Callable[[T, int], T]) -> None:
         self._states, self._advance = {0: first}, advance
@@ -46,9 +42,8 @@ GROUP_SPREAD = 0.002  # standard deviation of their positions in the cluster, m
 
 
 def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, end: Velocity) -> Array:
-    """Return the positions (2 or 3, ...), m, after one fourth-order Runge-Kutta step of length h, s.
-    `position` (2 or 3, ...), m, holds the positions before the step. The functions `start`, `middle` and
-    `end` of x and y return the velocity, m/s, at the times 0, h / 2 and h."""
+    """Return positions (2 or 3, ...), m, after one fourth-order Runge-Kutta step of h, s.
+    `start`, `middle` and `end` return the velocity at x, y, m/s, at the times 0, h / 2 and h."""
     k1 = start(position[0], position[1])
     p2 = position + h / 2 * k1
     k2 = middle(p2[0], p2[1])
@@ -60,8 +55,8 @@ def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, en
 
 
 def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[Array, Array]:
-    """Return x and y, metres, of points that moved with the surface water from time `start` to `end`, s.
-    x and y may have any shape, and `end` may precede `start`. Points that leave the basin become NaN."""
+    """Return x and y, m, of points that moved with the surface water from `start` to `end`, s; NaN
+    outside."""
     steps = max(1, int(np.ceil(abs(end - start) / MAX_SUBSTEP_S - 1e-9)))
     h = (end - start) / steps
     names = ("u", "v")
@@ -75,10 +70,8 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
 
 
 def centred_path(carried: Callable[[Array, Array, float], Array], x: Array, y: Array, half: float) -> Array:
-    """Return where water that passes the points x, y, m, is at the times -half and +half, s.
-    The result (2, 2 or 3, ...), m, holds the start and the end of each path. The mean of both ends is the
-    given point (x, y). `carried(px, py, t)` returns the position at time t of the water that is at (px, py)
-    at time 0."""
+    """Return the start and end (2, 2 or 3, ...), m, of paths whose mean of both ends is x, y, from -half to
+    half, s. `carried(px, py, t)` returns where water that is at (px, py) at time 0 is at time t."""
     px, py = x, y
     # correct the position at mid-time until the mean of both ends is the given point
     for _ in range(3):
@@ -98,11 +91,8 @@ class BeadField:
 
 
 class Population:
-    """Beads on a rectangle of water that is larger than the cameras' view, frame after frame.
-    x and y are the limits of the rectangle, m, and `cameras` is the number of cameras. Beads that leave the
-    rectangle return on the opposite side. Each second a small fraction of the beads is moved to random
-    positions, which keeps the density even in long records. Raises ValueError if the scene has a surface
-    without beads."""
+    """Beads on a rectangle of water with limits x and y, m, which return on the opposite side if they leave
+    it. A fraction moves to random places each second, which keeps the density even in long records."""
 
     def __init__(
         self, scene: Scene, basin: Basin, x: tuple[float, float], y: tuple[float, float], cameras: int

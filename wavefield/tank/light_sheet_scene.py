@@ -31,9 +31,8 @@ class SheetFlow:
 
     @classmethod
     def random(cls, settings: Sheet, period: tuple[float, float], seed: int) -> "SheetFlow":
-        """Return a random flow with the rms velocities that `settings` gives.
-        `period` holds the periods of the flow along x and y, m. The logarithms of the wavelengths are drawn
-        evenly, from `settings.shortest` to half the smaller period."""
+        """Return a random flow with the rms velocities of `settings` and periods along x and y, m.
+        Logarithms of wavelengths are even, from `settings.shortest` to half the smaller period."""
         rng = np.random.default_rng([seed, 11])
         longest = 0.5 * min(period)
         k = 2 * np.pi / longest * (longest / settings.shortest) ** rng.uniform(0.0, 1.0, WAVES_OF_FLOW)
@@ -88,10 +87,8 @@ def _velocity(
 
 
 class Particles:
-    """Particles that a flow moves through a light sheet, frame after frame.
-    They fill a layer evenly that is twice as thick as the sheet. x and y are the limits of the layer in the
-    plane of the sheet, m, and `cameras` is the number of cameras. A particle that leaves the layer returns on
-    its opposite side."""
+    """Particles that a flow moves through a light sheet, evenly in a layer twice as thick as the sheet.
+    x and y are the layer's limits, m; particles that leave it return on its opposite side."""
 
     def __init__(
         self, scene: Scene, settings: Sheet, x: tuple[float, float], y: tuple[float, float], cameras: int
@@ -115,8 +112,7 @@ class Particles:
         return BeadField(px, py, pz, self._brightness * light)
 
     def _advance(self, places: Array, frame: int) -> Array:
-        """Return the positions (3, n) in the next frame: x, y, m, and height as a fraction of the layer.
-        `places` are the positions now. The flow is steady, so `frame` does not matter."""
+        """Return the positions (3, n) in the next frame: x, y, m, and height as a fraction of the layer."""
         x, y, rise = self.flow.carry(places[0], places[1], self._step)
         (x0, x1), (y0, y1) = self._x, self._y
         height = places[2] + rise / (SLAB_THICKNESS * self._settings.thickness)
@@ -133,9 +129,8 @@ class Particles:
 
 
 def plane(settings: Sheet) -> tuple[Array, Array]:
-    """Return a matrix (3, 3) and the origin (3,), m, of the sheet, both in the axes of the rig.
-    The columns of the matrix are the unit vectors along x and y of the sheet and normal to it. The x axis of
-    the sheet lies above or below the x axis of the rig."""
+    """Return the unit vectors along x, y and the normal of the sheet (columns, (3, 3)), and its origin (3,),
+    m."""
     bx, by = np.tan(np.radians(settings.tilt))
     normal = np.array([-bx, -by, 1.0]) / np.sqrt(1.0 + bx * bx + by * by)
     x = np.array([1.0, 0.0, bx]) / np.sqrt(1.0 + bx * bx)

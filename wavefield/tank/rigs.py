@@ -63,11 +63,8 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
 
 
 def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: tuple[int, int]) -> Rig:
-    """Return exact cameras around a light sheet: `cam1` and `cam2` on both sides, and a vertical `cam3`.
-    `cameras` is their number; with 2 there is no `cam3`. `angle` is the angle between the vertical and the
-    axes of cam1 and cam2, degrees. The sensors of these two cameras are tilted (Scheimpflug). `distance` is
-    that from each camera to the sheet, and `pixel` the size of a pixel on the sheet, both in metres. `size`
-    is width and height of the images, px."""
+    """Return cameras at `angle` degrees on both sides of a light sheet, and perhaps a vertical `cam3`.
+    `distance` from the sheet and `pixel` on it are in m. The outer sensors are tilted (Scheimpflug)."""
     made = {}
     for name, side, roll, k1 in (("cam1", -1, 0.4, -0.04), ("cam2", 1, -0.5, -0.03), ("cam3", 0, 0.3, 0.03)):
         lean = np.radians(angle * side)
@@ -80,10 +77,8 @@ def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: t
 
 
 def platform_rig(height: float, baseline: float, pitch: float, focal: float, size: tuple[int, int]) -> Rig:
-    """Return two exact cameras, `left` and `right`, side by side on a platform above the sea.
-    The cameras look towards +y. `height` is their height above the sea, and `baseline` the distance between
-    them, both in metres. `pitch` is the angle of their axes below the horizontal, degrees. `focal` is the
-    focal length, and `size` the width and height of the images, all in px."""
+    """Return the cameras `left` and `right`, a `baseline` apart at a `height` above the sea, m, towards +y.
+    Their axes are `pitch` degrees below the horizontal; `focal` and `size` are in px."""
     made = {}
     for name, side, roll, turn, down, k1 in (
         ("left", -1, 0.8, 1.1, 0.3, -0.05),
@@ -117,9 +112,8 @@ def _camera(
 
 
 def _orientation(axis: Array, roll: float) -> Array:
-    """Return the rotation matrix (3, 3), from rig to camera axes, of a camera that looks along `axis`.
-    `axis` (3,) is a unit vector in the axes of the rig. Before the camera is turned about it by `roll`, rad,
-    the rows of its image run towards -y."""
+    """Return the rotation (3, 3), rig to camera, of a camera along `axis` (3,), turned about it by `roll`,
+    rad."""
     down = np.array([0.0, -1.0, 0.0])
     right = np.cross(down, axis)
     c, s = np.cos(roll), np.sin(roll)
@@ -129,16 +123,16 @@ def _orientation(axis: Array, roll: float) -> Array:
 def bounds(
     rig: Rig, lowest: float, highest: float, margin: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits along x and along y, m, of the water that at least one camera sees.
-    The water is between the heights `lowest` and `highest`, m. Each side is extended by `margin`, m."""
+    """Return the limits along x and y, m, of the water that any camera sees at these heights, plus a
+    margin."""
     corners = np.concatenate([_bounding(rig[name], z) for name in rig for z in (lowest, highest)])
     low, high = np.nanmin(corners, axis=0) - margin, np.nanmax(corners, axis=0) + margin
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
 def _bounding(camera: Camera, height: float) -> Array:
-    """Return points x, y, (n, 2), m, that span a camera's view of the horizontal plane at `height`, m.
-    They are the four corners of the view, or samples of its near part if the camera sees the horizon."""
+    """Return points x, y, (n, 2), m, that span a camera's view of the plane at `height`, m, up to the
+    horizon."""
     corners = camera.corners(height)
     if np.isfinite(corners).all():
         return corners

@@ -19,11 +19,12 @@ from wavefield.tank.scene_parts import (
     Fault,
     Light,
     PaperRig,
+    Part,
     PlatformRig,
+    Positive,
     Probes,
     RandomSea,
     RigFile,
-    SceneRecord,
     SeaSurface,
     Sheet,
     SheetRig,
@@ -51,7 +52,7 @@ def _kind_of_surface(value: object) -> str:
     return value.get("kind", "beads") if isinstance(value, Mapping) else getattr(value, "kind", "")
 
 
-class Scene(SceneRecord):
+class Scene(Part):
     """The settings of a simulated experiment.
 
     `Scene.load` reads them from YAML. The class of each part describes its settings and their units;
@@ -64,6 +65,11 @@ class Scene(SceneRecord):
     ['cam1', 'cam2', 'cam3']
     """
 
+    name: str = "tank"
+    seed: Annotated[int, Field(ge=0)] = 1
+    frames: Annotated[int, Field(ge=1)] = Field(default=42, description="number of frames")
+    frame_rate: Positive = Field(default=20.0, description="Hz")
+    start: float = Field(default=0.0, description="time of the sea at the first frame, s")
     rig: Annotated[
         Annotated[PaperRig, Tag("paper-rig")]
         | Annotated[SheetRig, Tag("sheet-rig")]
@@ -119,6 +125,10 @@ class Scene(SceneRecord):
                 if unknown := set(named) - cameras:
                     raise ValueError(f"{setting} names {min(unknown)!r}, which is no camera of the rig")
         return self
+
+    def time(self, frame: float) -> float:
+        """Return the simulated time, s, of a frame counted from 0, without the clock's jitter."""
+        return self.start + frame / self.frame_rate
 
     def frame_time(self, frame: float) -> float:
         """Return the simulated time, s, at which the cameras take a frame, with the clock's random jitter."""

@@ -30,21 +30,6 @@ class Part(ConfigSection):
     model_config = ConfigDict(allow_inf_nan=True)  # deep water has depth .inf
 
 
-class SceneRecord(Part):
-    """Name, random seed, number and times of the frames of a simulated record."""
-
-    name: str = "tank"
-    seed: Annotated[int, Field(ge=0)] = 1
-    frames: Annotated[int, Field(ge=1)] = Field(default=42, description="number of frames")
-    frame_rate: Positive = Field(default=20.0, description="Hz")
-    start: float = Field(default=0.0, description="time of the sea at the first frame, s")
-
-    def time(self, frame: float) -> float:
-        """Return the simulated time, s, of a frame counted from 0, without the clock's jitter.
-        The frame need not be an integer."""
-        return self.start + frame / self.frame_rate
-
-
 class PaperRig(Part):
     """The cameras of Aubourg et al. (2019): all three, only the two oblique ones, or with a fourth."""
 
@@ -234,7 +219,6 @@ class Strings(Part):
         default=0.022, description="diameter of the disc at the next crossing along +x, m"
     )
     brightness: Positive = Field(default=150.0, description="grey levels of 255")
-    node_offset: NotNegative = Field(default=0.0, description="rms error of the crossings in x, y, z, m")
 
 
 class Chessboard(Part):
@@ -390,10 +374,8 @@ class RandomSea(_SeaSettings):
         return self
 
     def build(self, seed: int) -> Sea:
-        """Return a Gaussian sea of waves on a square lattice of wave vectors; `seed` draws their amplitudes.
-        The complex amplitudes are Gaussian. Their mean square at the wavenumber k and the direction theta is
-        proportional to S(f) (df/dk) D(theta) / k, with the frequency f, the frequency spectrum S and the
-        directional distribution D. They are scaled to the standard deviation `rms` of the elevation."""
+        """Return a Gaussian sea on a square lattice of wave vectors k, theta; `seed` draws its amplitudes.
+        Their mean square is proportional to S(f) (df/dk) D(theta) / k; it is scaled to `rms`."""
         dk = 2 * np.pi / self.period
         n = int(self.period / self.shortest)
         lattice = np.arange(-n, n + 1) * dk

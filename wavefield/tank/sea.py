@@ -45,8 +45,7 @@ class BoundWaves:
     target: NDArray[np.int64]  # (p,): Index of the wave vector of each pair
 
     def at(self, time: float, current: tuple[float, float]) -> dict[str, Complex]:
-        """Return the complex amplitudes, (m,), of z (m) and of z_t, u, v (m/s) at a time, s, by name.
-        `current` is the uniform velocity of the water, m/s."""
+        """Return complex amplitudes (m,) of z, z_t, u, v, by name, at a time, s, on a current, m/s."""
         turn = np.exp(-1j * self.frequency * time)
         drift = self.kx * current[0] + self.ky * current[1]
         carried = np.exp(-1j * drift * time)
@@ -67,9 +66,8 @@ class BoundWaves:
 def bound_waves(
     kx: Array, ky: Array, amplitude: Complex, sigma: Array, depth: float, surface_tension: float, number: int
 ) -> BoundWaves:
-    """Return the second-order waves that the `number` steepest of n free waves force.
-    kx, ky (rad/m), amplitude (m) and sigma (frequency relative to the water, rad/s) are (n,). `depth` is in
-    m, `surface_tension` is over density, m3 s-2."""
+    """Return the second-order waves that the `number` steepest of n free waves force. kx, ky, amplitude (m)
+    and sigma (rad/s, relative to the water) are (n,); surface tension is over density."""
     steep = np.argsort(-np.hypot(kx, ky) * np.abs(amplitude), kind="stable")[:number]
     kx, ky, a, s = kx[steep], ky[steep], amplitude[steep], sigma[steep]
     k = np.hypot(kx, ky)
@@ -173,22 +171,19 @@ class Sea:
 
     @property
     def axes(self) -> tuple[Array, Array]:
-        """All wavenumbers that the waves of the sea have along x (nkx,) and along y (nky,), rad/m.
-        Those along x are not negative: a wave with kx < 0 is stored as its complex conjugate at -k."""
+        """Wavenumbers along x (nkx,), none negative, and along y (nky,), rad/m; waves with kx < 0 are
+        conjugate."""
         return self._layout.kx, self._layout.ky
 
     @property
     def shortest(self) -> float:
-        """2 pi over the largest |kx| or |ky| of all waves, bound ones included, m.
-        It is infinite if the sea has no waves."""
+        """2 pi over the largest |kx| or |ky| of all waves, m; infinite without waves."""
         top = max(self._layout.kx.max(initial=0.0), np.abs(self._layout.ky).max(initial=0.0))
         return 2 * np.pi / top if top > 0 else np.inf
 
     @property
     def reach(self) -> float:
-        """Elevation that the sea hardly ever exceeds, m.
-        It is 4.5 standard deviations of the free waves, or 1.1 times the sum of their amplitudes if that is
-        less."""
+        """Elevation, m, hardly ever exceeded: 4.5 standard deviations, or 1.1 times the sum of amplitudes."""
         height = np.abs(self.amplitude)
         return float(min(np.sum(height) * 1.1, 4.5 * np.sqrt(0.5 * np.sum(height**2))))
 
@@ -201,8 +196,7 @@ class Sea:
         )
 
     def _coefficients(self, time: float) -> dict[str, Complex]:
-        """Return the complex amplitudes of all fields but w at a time, s, by name of the field.
-        Each is (nky, nkx), over the wavenumbers that `axes` returns."""
+        """Return the complex amplitudes (nky, nkx) of all fields but w at a time, s, by name."""
         turned = self.amplitude * np.exp(-1j * self.omega * time)
         velocity_over_elevation = self.sigma / (self.k * np.tanh(self.k * self.depth))
         waves = {
@@ -221,16 +215,13 @@ class Sea:
 
     def on_grid(self, x: Array, y: Array, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
         """Return exact fields (ny, nx) by name at a time, s, on axes x (nx,) and y (ny,), metres.
-        z is in m, the slopes z_x, z_y are pure numbers, the others in m/s. Raises ValueError for an unknown
-        name."""
+        z is in m, the slopes z_x, z_y are pure numbers, the others in m/s."""
         ex, ey = np.exp(1j * np.outer(self._layout.kx, x)), np.exp(1j * np.outer(y, self._layout.ky))
         return self._finish(self.sums(ex, ey, time, _needed(names)), names)
 
     def sums(self, ex: Complex, ey: Complex, time: float, names: Sequence[str]) -> dict[str, Array]:
-        """Return the named fields, (ny, nx), at a time, s, as sums over all waves, without the current.
-        `ex` (nkx, nx) is exp(i kx x) and `ey` (ny, nky) is exp(i ky y), for the wavenumbers of `axes`. Each
-        may be multiplied by any function of the wavenumber. `names` must not contain w, which is no such
-        sum."""
+        """Return the named fields (ny, nx) but w at a time, s, as sums over all waves, without the current.
+        `ex` (nkx, nx) is exp(i kx x) and `ey` (ny, nky) exp(i ky y), times any function of the wavenumber."""
         along_x = np.concatenate([ex.real, -ex.imag])
         along_y = np.concatenate([ey.real, ey.imag], axis=1)
         coefficients = self._coefficients(time)
@@ -243,9 +234,8 @@ class Sea:
         return out
 
     def at(self, x: ArrayLike, y: ArrayLike, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
-        """Return exact fields by name at a time, s, at scattered points x, y, metres, in their shape.
-        The fields have the units of `on_grid`. For many points on axes `on_grid` is faster and needs less
-        memory."""
+        """Return exact fields by name at a time, s, at points x, y, metres, of any shape; units as in
+        `on_grid`."""
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         shape, x, y = x.shape, x.ravel(), y.ravel()
         coefficients = self._coefficients(time)
@@ -254,8 +244,8 @@ class Sea:
         return {name: values.reshape(shape) for name, values in self._finish(out, names).items()}
 
     def _finish(self, out: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
-        """Add the current to the sums over waves `out`, and return the fields `names`.
-        If w is among them it is computed as z_t + u z_x + v z_y."""
+        """Add the current to the sums over waves `out`, compute w as z_t + u z_x + v z_y, and return
+        `names`."""
         for name, speed in zip(("u", "v"), self.current, strict=True):
             if name in out and speed:
                 out[name] = out[name] + speed
@@ -265,8 +255,7 @@ class Sea:
 
 
 def _needed(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the fields to sum over waves so that `names` can be computed.
-    If w is in `names`, these are all fields but w. Raises ValueError if a name is unknown."""
+    """Return the fields to sum over waves for `names`; all but w for w."""
     unknown = set(names) - set(FIELDS)
     if unknown:
         raise ValueError(f"the sea has no field {sorted(unknown)[0]!r}; it has {', '.join(FIELDS)}")
@@ -286,8 +275,7 @@ def _product(a: Array, b: Array) -> Array:
 
 
 class _WaveLayout:
-    """Arranges waves in a matrix over (ky, kx) with kx >= 0, so that sums over waves are matrix products.
-    kx and ky, (n,), are the wave vectors, rad/m."""
+    """Arranges waves (kx, ky), (n,), in a matrix over (ky, kx >= 0): sums over waves are matrix products."""
 
     def __init__(self, kx: Array, ky: Array) -> None:
         self._mirror = kx < 0  # Re(C e^{ikx}) = Re(C* e^{-ikx})
@@ -300,8 +288,7 @@ class _WaveLayout:
         self._flat = self._row * self.kx.size + self._column
 
     def place(self, values: Complex) -> Complex:
-        """Return the complex amplitudes (n,) of the waves as a matrix (nky, nkx).
-        Waves with equal wave vectors are added."""
+        """Return the amplitudes (n,) of the waves as a matrix (nky, nkx); equal wave vectors are added."""
         values = np.where(self._mirror, values.conj(), values)
         size = self.ky.size * self.kx.size
         real = np.bincount(self._flat, values.real, size)
@@ -334,10 +321,8 @@ def _waves(a: ArrayLike, b: ArrayLike) -> Complex:
 
 
 class Basin:
-    """A rectangle of a sea, with limits x and y in metres, in which fields at any point are found fast.
-    Fields are summed on a lattice and interpolated with a kernel. The sums divide each wave by the Fourier
-    transform of the kernel, which leaves errors of some 1e-7 of the elevation (a non-uniform FFT of type
-    2)."""
+    """A rectangle of a sea, with limits x and y, m, for fields at any point: a non-uniform FFT of type 2.
+    Fields are summed on a lattice and interpolated with a kernel; errors are 1e-7 of the elevation."""
 
     def __init__(self, sea: Sea, x: tuple[float, float], y: tuple[float, float]) -> None:
         self.sea, self.x, self.y = sea, x, y
@@ -355,8 +340,7 @@ class Basin:
         self._ey = _waves(gy, ky) / _transform(ky * step)
 
     def snapshot(self, time: float, names: Sequence[str] = ("z",)) -> "Snapshot":
-        """Return the fields `names` at a time, s, as a function of x and y.
-        Possible names: z, z_x, z_y, z_t, u, v. Compute w as z_t + u z_x + v z_y; it is not a sum of waves."""
+        """Return the fields `names` (z, z_x, z_y, z_t, u, v) at a time, s, as a function of x and y."""
         return self._recent(round(time, 12), tuple(names))
 
     def _snapshot(self, time: float, names: tuple[str, ...]) -> "Snapshot":
@@ -373,9 +357,7 @@ class Snapshot:
         self._values, self._offset, self._origin, self._step = values, offset, origin, step
 
     def __call__(self, x: Array, y: Array) -> Array:
-        """Return the fields at points x, y, metres, of any shape, stacked as (fields, ...).
-        They are in the order of the names given to `Basin.snapshot`, and are NaN outside the basin. z is in
-        m, the slopes are pure numbers, the others in m/s."""
+        """Return the fields at points x, y, m, of any shape, as (fields, ...); NaN outside the basin."""
         out = np.empty((self._values.shape[0], x.size))
         _gather(x.ravel(), y.ravel(), self._values, *self._origin, self._step, out)
         return (out + self._offset[:, None]).reshape(-1, *x.shape)

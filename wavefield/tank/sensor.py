@@ -13,9 +13,8 @@ Image = NDArray[np.float32]
 
 @compiled(fastmath=True)
 def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
-    """Add n Gaussian spots to an image (row, column), in place, each integrated exactly over every pixel.
-    The spots are at columns X (n,) and rows Y (n,), px, with total intensities `flux` (n,) and standard
-    deviation `sigma`, px."""
+    """Add n Gaussian spots at columns X and rows Y to an image, each integrated exactly over every pixel.
+    `flux` (n,) are total intensities, `sigma` is the standard deviation, px."""
     height, width = image.shape
     reach = math.ceil(4.5 * sigma) + 1
     size = 2 * reach + 1
@@ -39,9 +38,8 @@ def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
 
 
 def illumination(size: tuple[int, int], unevenness: float, seed: int) -> Image:
-    """Return the relative illumination of the pixels of an image, (row, column), with a mean of about 1.
-    It varies linearly in a random direction and decreases towards the edges. `size` is width and height in
-    px, `unevenness` the relative difference of light across the image."""
+    """Return the relative illumination (row, column) of an image: a gradient in a random direction, dark
+    edges."""
     angle = np.random.default_rng([seed, 3]).uniform(0, 2 * np.pi)
     x = np.linspace(-1, 1, size[0], dtype=np.float32)
     y = np.linspace(-1, 1, size[1], dtype=np.float32)[:, None]
@@ -52,9 +50,8 @@ def illumination(size: tuple[int, int], unevenness: float, seed: int) -> Image:
 def expose(
     light: Image, read: float, shot: float, bits: int, rng: np.random.Generator
 ) -> NDArray[np.unsignedinteger]:
-    """Return the pixels that a camera stores, (row, column), as integers of 8 or 16 `bits`.
-    `light` (row, column) is in grey levels of 255; noise is added and full scale clips. `read` is the rms of
-    the read noise, `shot` the variance of the shot noise per grey level, both in grey levels of 255."""
+    """Return the pixels (row, column) that a camera stores, with noise, as integers of 8 or 16 `bits`.
+    `read` is the rms of the read noise, `shot` the variance per level, in grey levels of 255."""
     value = light.astype(np.float64)
     if read or shot:
         noise = rng.standard_normal(light.shape, np.float32)

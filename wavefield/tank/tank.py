@@ -66,8 +66,7 @@ class Tank:
 
     @cached_property
     def population(self) -> Population | Particles:
-        """The beads of the scene, or the particles of its light sheet.
-        Raises ValueError if the surface of the scene is painted or the open sea."""
+        """The beads of the scene, or the particles of its light sheet; ValueError without beads."""
         if isinstance(self.scene.surface, Sheet):
             return Particles(self.scene, self.scene.surface, self.x, self.y, len(self.rig))
         return Population(self.scene, self.basin, self.x, self.y, len(self.rig))
@@ -82,9 +81,7 @@ class Tank:
         return truth(self.basin, grid, time, 1.0 / self.scene.frame_rate)
 
     def spot_width(self, camera: Camera) -> float:
-        """Return the standard deviation of a bead's image, px, before it is integrated over pixels.
-        It combines the blur of the lens with the size of the bead; the variance of a disc is its radius
-        squared over 4."""
+        """Standard deviation of a bead's image, px: blur of the lens and size of the bead (radius / 2)."""
         surface = self.scene.surface
         size = 0.0 if isinstance(surface, (Texture, SeaSurface)) else surface.diameter
         pixel = float(np.sqrt(np.prod(rigs.pixel_footprint(camera))))
@@ -97,8 +94,8 @@ class Tank:
         return {name: self.draw(name, frame, self.beads(name, frame)) for name in names}
 
     def beads(self, name: str, frame: int) -> BeadField | None:
-        """Return the beads that the camera `name` sees in a frame; None if the surface has no beads.
-        If the scene makes the camera late by some frames, they are the beads of an earlier frame."""
+        """Return the beads that a camera sees in a frame (an earlier one if it is late); None without
+        beads."""
         if isinstance(self.scene.surface, (Texture, SeaSurface)):
             return None
         return self.population.frame(self._frame_taken(name, frame))
@@ -145,8 +142,8 @@ class Tank:
         return replace(beads, x=x, y=y, z=z)
 
     def _rolling(self, camera: Camera, beads: BeadField, frame: int, row_time: float) -> tuple[Array, Array]:
-        """Return columns and rows of beads, (n,), px, in a camera with a rolling shutter.
-        Each row is read `row_time`, s, after the row above it; the middle row is read on time."""
+        """Return columns and rows (n,), px, of beads in a rolling shutter with `row_time`, s, from row to
+        row."""
         middle = (camera.size[1] - 1) / 2
         time, half = self.frame_time(frame), row_time * middle
         moments = (self._delayed(beads, time, -half), beads, self._delayed(beads, time, half))
@@ -181,8 +178,7 @@ class Tank:
 
     @cached_property
     def _sea_paints(self) -> tuple[tuple[texture.Paint, ...], ...]:
-        """Two textures of ripples, and two coarser ones of foam.
-        The two of a pair have grains of different sizes, and are added."""
+        """Two textures of ripples and two of foam; grains of a pair differ in size."""
         settings = self.scene.surface
         assert isinstance(settings, SeaSurface)
 
@@ -207,8 +203,8 @@ class Tank:
         return np.asarray(gaussian_filter(image, self.scene.light.blur, mode="nearest"), np.float32)
 
     def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
-        """Return how far water moved from `frame` back to frame 0, along x and along y, m.
-        The two splines are functions of (y, x), the position of the water in `frame`, m."""
+        """Return two splines of (y, x): how far water moved from `frame` back to frame 0, along x and y,
+        m."""
         with self._drift_lock:  # other threads may be drawing other frames
             return self._drifts[frame]
 
@@ -229,8 +225,7 @@ class Tank:
 
     @cached_property
     def target_poses(self) -> dict[str, targets.Pose]:
-        """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``.
-        The mapping is empty if the surface is the open sea."""
+        """Poses of the target by image: ``tilt_0``, ``tilt_1``, ..., ``flat``; none at the open sea."""
         settings, grid = self.scene.calibration, self.scene.grid
         if isinstance(self.scene.surface, SeaSurface):
             return {}  # there is no target at sea
@@ -242,16 +237,10 @@ class Tank:
         flat = targets.Pose(np.eye(3), np.array([0.0, 0.0, settings.level]))
         return {f"tilt_{i}": pose for i, pose in enumerate(tilted)} | {"flat": flat}
 
-    @cached_property
-    def target_offsets(self) -> Array | None:
-        """Position errors of the crossings of strings, (n, n, 3), metres; None if there are no strings."""
-        target = self.scene.calibration.target
-        return targets.node_offsets(target, self.scene.seed) if isinstance(target, Strings) else None
-
     def target_image(self, name: str, camera: str) -> GreyImage:
         """Return the image (row, column) by `camera` of the target in the pose `target_poses[name]`."""
         target, pose = self.scene.calibration.target, self.target_poses[name]
-        light = targets.draw(self.rig[camera], target, pose, self.scene.light.blur, self.target_offsets)
+        light = targets.draw(self.rig[camera], target, pose, self.scene.light.blur)
         return self._expose(light, camera, -1 - list(self.target_poses).index(name))
 
     @cached_property

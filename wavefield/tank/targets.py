@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from wavefield.compiled import compiled
 from wavefield.rig import Camera
@@ -26,9 +25,8 @@ class Pose:
 
 
 def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, float], seed: int) -> list[Pose]:
-    """Return `number` random poses of a target, as if somebody held it in the field of view.
-    Each pose is tilted in another direction, by up to `tilt` degrees. x and y are the limits of the field,
-    m."""
+    """Return random poses of a target as if held in the field x, y, m, each tilted another way by up to
+    `tilt`."""
     rng = np.random.default_rng([seed, 8])
     size = min(x[1] - x[0], y[1] - y[0])
     out = []
@@ -54,8 +52,7 @@ def _rotation(axis: int, angle: float) -> Array:
 
 
 def move_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, cameras: Iterable[Camera]) -> Pose:
-    """Return the pose of a board, moved towards the point `middle` until all cameras see all of the board.
-    `middle`, (3,), m, is the middle of the field. If no place is found, the pose is returned unchanged."""
+    """Return the pose of a board, moved towards `middle` (3,), m, until all cameras see it, if they can."""
     # the corners of a chessboard can only be numbered if all of it is visible
     around = 1.5 if isinstance(board, Chessboard) else 0.5  # the outer squares and half a white one
     half = ((np.array(board.shape) - 1) / 2 + around) * board.mesh
@@ -79,22 +76,9 @@ _QUADRATURE = np.stack(
 )
 
 
-def node_offsets(target: Strings, seed: int) -> Array:
-    """Return random position errors along x, y and z, (n, n, 3), m, of the crossings of n by n strings.
-    The crossing i meshes along x and j meshes along y from the origin has the index [j + half, i + half],
-    where half is `target.half`. The two marked crossings have no error."""
-    count = 2 * target.half + 1
-    offsets = target.node_offset * np.random.default_rng([seed, 9]).standard_normal((count, count, 3))
-    offsets[target.half, target.half : target.half + 2] = 0.0
-    return offsets
-
-
-def draw(
-    camera: Camera, target: Strings | Chessboard | Dots, pose: Pose, blur: float, offsets: Array | None = None
-) -> NDArray[np.float32]:
-    """Return the light of a target on the pixels of a camera, (row, column), in grey levels of 255.
-    Background, uneven light and noise are not included. `blur` is the standard deviation of a point's image,
-    px. `offsets` (n, n, 3), m, is the result of `node_offsets`."""
+def draw(camera: Camera, target: Strings | Chessboard | Dots, pose: Pose, blur: float) -> NDArray[np.float32]:
+    """Return the light of a target (row, column) in a camera, in grey levels of 255, without background or
+    noise."""
     # seen from a camera in the target's own axes, the target is the plane z = 0
     own = replace(camera, rotation=camera.R @ pose.rotation, translation=camera.R @ pose.origin + camera.T)
     width, height = camera.size
@@ -104,8 +88,6 @@ def draw(
         rows = np.arange(top - 1.0, min(top + BAND_ROWS, height) + 1)
         s, t = (a / target.mesh for a in own.unproject(columns, rows[:, None]))
         if isinstance(target, Strings):
-            if offsets is not None and np.any(offsets):
-                s, t = _undo_offsets(own, target.mesh, s, t, offsets / target.mesh)
             bands.append(_draw_strings(target, s, t, blur))
         else:
             nx, ny = target.shape
@@ -125,26 +107,9 @@ def _draw_strings(target: Strings, s: Array, t: Array, blur: float) -> NDArray[n
     return _strings(s, t, target.width / target.mesh, marks, frame, blur, _QUADRATURE)
 
 
-def _undo_offsets(own: Camera, mesh: float, x: Array, y: Array, offsets: Array) -> tuple[Array, Array]:
-    """Return the points of the perfect pattern that appear at x, y if crossings are displaced by `offsets`.
-    x, y (any shape) are on the plane of the target. They, `offsets` (n, n, 3) and both results are in units
-    of the mesh, whose size is `mesh`, m. `own` is the camera in the axes of the target."""
-    half = offsets.shape[0] // 2
-    lean_x, lean_y = own.sight_line(x * mesh, y * mesh)
-    s, t = x, y
-    for _ in range(3):
-        dx, dy, dz = (
-            map_coordinates(offsets[..., i], [t + half, s + half], order=1, mode="nearest") for i in range(3)
-        )
-        # a crossing above the plane appears where its sight line meets the plane
-        s, t = x - dx + lean_x * dz, y - dy + lean_y * dz
-    return s, t
-
-
 @compiled()
 def _step(d: float, blur: float) -> float:
-    """Return the brightness, 0 to 1, of a point d px inside a straight blurred edge.
-    d is negative outside; `blur` is the standard deviation of the blur, px."""
+    """Return the brightness, 0 to 1, of a point d px inside (negative: outside) a straight blurred edge."""
     if d > 4.5 * blur:
         return 1.0
     if d < -4.5 * blur:
@@ -156,9 +121,8 @@ def _step(d: float, blur: float) -> float:
 def _disc(
     ds: float, dt: float, radius: float, sx: float, sy: float, tx: float, ty: float, blur: float
 ) -> float:
-    """Return the brightness, 0 to 1, of a blurred disc at the distance (ds, dt) from its centre.
-    s and t are coordinates in the plane of the target, and `radius` has their unit. (sx, sy) and (tx, ty) are
-    the derivatives of s and t by column and row of the image. `blur` is a standard deviation, px."""
+    """Return the brightness, 0 to 1, of a blurred disc at (ds, dt) from its centre, in the units of `radius`.
+    (sx, sy) and (tx, ty) are derivatives of s and t by column and row; `blur` is in px."""
     r = math.hypot(ds, dt)
     if r < 1e-12:
         return 1.0
@@ -169,8 +133,7 @@ def _disc(
 
 @compiled()
 def _slopes(a: Array, i: int, j: int) -> tuple[float, float]:
-    """Return the derivatives by column and by row of an array at row i and column j.
-    The array has a border of one pixel, which i and j do not count."""
+    """Return the derivatives by column and row at (i, j) of an array with a border of one pixel."""
     return 0.5 * (a[i + 1, j + 2] - a[i + 1, j]), 0.5 * (a[i + 2, j + 1] - a[i, j + 1])
 
 

@@ -21,9 +21,8 @@ Array = NDArray[np.float64]
 
 
 class Paint:
-    """Band-limited white noise of unit variance as a function of x and y: a random cubic B-spline.
-    Its grains have the size `mesh`, metres. It covers the rectangle with limits x and y, metres, and is
-    mirrored beyond the rectangle."""
+    """Band-limited white noise of unit variance on a rectangle x, y, m: a random cubic B-spline.
+    Its grains have the size `mesh`, m; it is mirrored beyond the rectangle."""
 
     def __init__(self, x: tuple[float, float], y: tuple[float, float], mesh: float, seed: int) -> None:
         count = [int(np.ceil((high - low) / mesh)) + 5 for low, high in (x, y)]
@@ -65,14 +64,13 @@ class VisibleWater:
 
 
 def horizon_dip(height: float) -> float:
-    """Return the angle, rad, by which the horizon is below the horizontal at a height above the sea, m.
-    Refraction by the air is neglected."""
+    """Return the angle, rad, of the horizon below the horizontal from a height, m, without refraction."""
     return float(np.sqrt(2.0 * height / EARTH_RADIUS))
 
 
 def visible_water(camera: Camera, snapshot: Snapshot, reach: float) -> VisibleWater:
-    """Return the water that the sight line of each pixel meets first; waves may hide what is behind them.
-    `snapshot` must hold z, z_x and z_y, in this order. `reach` is the largest elevation, m."""
+    """Return the water that each pixel's sight line meets first; `snapshot` holds z, z_x, z_y, `reach` is max
+    z."""
     width, height = camera.size
     x, y = camera.unproject(np.arange(float(width)), np.arange(float(height))[:, None])
     rows, columns = np.arange(0, height, COARSE), np.arange(0, width, COARSE)
@@ -89,9 +87,7 @@ def visible_water(camera: Camera, snapshot: Snapshot, reach: float) -> VisibleWa
 
 
 def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, y: Array) -> Array:
-    """Return the elevation z, m, where the sight line of a camera through (x, y, 0) first meets the water.
-    It has the shape of x and y, m, and is NaN for sight lines that meet no water. `reach` is the largest
-    elevation, m."""
+    """Return the elevation z, m, where sight lines through (x, y, 0) first meet the water; NaN if nowhere."""
     dx, dy = camera.sight_line(x, y)
     out = np.full(x.shape, np.nan)
     above = np.full(x.shape, np.nan)
@@ -107,10 +103,8 @@ def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, 
 
 
 def sea_image(camera: Camera, seen: VisibleWater, settings: SeaSurface, foam: Image, ripples: Image) -> Image:
-    """Return the light of sky and water on the pixels of a camera, (row, column), in grey levels of 255.
-    Each pixel of water is a facet with the slope of `seen` plus a slope by the texture `ripples`. It mirrors
-    the sky, with Fresnel's reflectance, over dark water. Foam covers it where the texture `foam` exceeds its
-    threshold. All images are (row, column). Blur and noise of the camera are not in it."""
+    """Return the light of sky and water (row, column), in grey levels of 255, before blur and noise.
+    Facets with the slopes of `seen` plus `ripples` mirror the sky (Fresnel); `foam` covers some."""
     width, height = camera.size
     a, b = camera.tangents(np.arange(float(width)), np.arange(float(height))[:, None])
     ray = np.stack([a, b, np.ones_like(a)], -1) @ camera.R  # away from the camera
@@ -135,8 +129,7 @@ def sea_image(camera: Camera, seen: VisibleWater, settings: SeaSurface, foam: Im
 
 
 def _radiance(upward: Array) -> Array:
-    """Return the radiance of the sky relative to the radiance at the horizon.
-    `upward` is the sine of the angle above the horizon."""
+    """Return the sky's radiance over that at the horizon; `upward` is the sine of the angle above it."""
     out: Array = 0.45 + 0.55 * (1.0 - np.clip(upward, 0.0, 1.0)) ** 3
     return out
 
@@ -144,10 +137,8 @@ def _radiance(upward: Array) -> Array:
 def texture_at(
     seen: VisibleWater, drift: Sequence[RectBivariateSpline], paints: Sequence[Paint], far: float
 ) -> Image:
-    """Return the sum of the textures `paints`, moved with the water, as means over pixels (row, column).
-    `drift` holds two functions of (y, x): the position of the water at the first frame minus its present
-    position, along x and along y, m. The textures fade to zero towards the distance `far`, m, at which the
-    simulated waves end."""
+    """Return the sum of textures moved with the water (row, column), fading towards `far`, m.
+    `drift` is where the water was at the first frame minus where it is, functions of (y, x), m."""
     width, height = seen.x.shape[1], seen.x.shape[0]
     fine = []
     for place, moved in zip((seen.x, seen.y), drift, strict=True):

@@ -59,9 +59,8 @@ def truth(basin: Basin, grid: Grid, time: float, dt: float) -> Truth:
 
 
 def displacement(basin: Basin, x: Array, y: Array, time: float, dt: float) -> tuple[Array, Array, Array]:
-    """Return the displacements along x, y, z, m, in one step of the water whose paths are centred on x, y.
-    x and y, m, of any shape, are the means of both ends of each path; `time` is mid-time and `dt` the length
-    of the step, s."""
+    """Return displacements along x, y, z, m, in a step `dt`, s, of water whose paths are centred on x, y,
+    m."""
 
     def carried(px: Array, py: Array, after: float) -> Array:
         return np.stack(carry(basin, px, py, time, time + after))

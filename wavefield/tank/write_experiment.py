@@ -113,8 +113,7 @@ def _draw(
     most: int,
     report_progress: Callable[[], None],
 ) -> None:
-    """Draw and write images on the threads of `pool`; call `report_progress` after each image.
-    At most `most` images are in work or queued at once."""
+    """Draw and write images on the threads of `pool`, at most `most` in work; report each one."""
     waiting: deque[Future[None]] = deque()
     for path, drawing in drawings:
         if len(waiting) == most:
@@ -129,8 +128,7 @@ def _draw(
 def _write_truth(
     tank: Tank, steps: int, path: Path, pool: ThreadPoolExecutor, report_progress: Callable[[], None]
 ) -> None:
-    """Write the exact fields of `steps` steps to the Zarr store `path`, one chunk after the other.
-    `report_progress` is called after each step."""
+    """Write the exact fields of `steps` steps to the Zarr store `path`, in chunks; report each step."""
     grid, rate = tank.scene.grid, tank.scene.frame_rate
     names = [field.name for field in fields(Truth) if field.name != "time"]
     for first in range(0, steps, CHUNK_STEPS):
@@ -165,8 +163,7 @@ def _write_truth(
 
 
 def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
-    """Write the files experiment.yaml, scene.yaml and truth/rig.yaml of a simulated experiment.
-    With wave probes it also writes probes.csv, and lenses.yaml if the surface is the open sea."""
+    """Write experiment.yaml, scene.yaml, truth/rig.yaml, and probes.csv and lenses.yaml where they apply."""
     names = list(tank.rig)
     experiment = {
         "name": scene.name,
@@ -241,9 +238,8 @@ def _describe_target(scene: Scene) -> dict[str, object]:
 
 
 def _pairing(tank: Tank) -> dict[str, object]:
-    """Return the blocks `surface` and `velocity` of the experiment file, which name cameras.
-    The most upright camera forms a pair with each other camera, for the elevation. The other cameras measure
-    the velocity; if there are only two cameras, both do. With one camera the result is empty."""
+    """Return the blocks `surface` and `velocity` of the experiment file: pairs with the most upright camera,
+    velocity by the others."""
     names = list(tank.rig)
     if len(names) < 2:
         return {}
