@@ -55,8 +55,7 @@ def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, en
 
 
 def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[Array, Array]:
-    """Return x and y, m, of points that moved with the surface water from `start` to `end`, s; NaN
-    outside."""
+    """Return x, y, m, of points that the surface water carried from `start` to `end`, s; NaN if out."""
     steps = max(1, int(np.ceil(abs(end - start) / MAX_SUBSTEP_S - 1e-9)))
     h = (end - start) / steps
     names = ("u", "v")
@@ -70,8 +69,8 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
 
 
 def centred_path(carried: Callable[[Array, Array, float], Array], x: Array, y: Array, half: float) -> Array:
-    """Return the start and end (2, 2 or 3, ...), m, of paths whose mean of both ends is x, y, from -half to
-    half, s. `carried(px, py, t)` returns where water that is at (px, py) at time 0 is at time t."""
+    """Return start and end (2, 2 or 3, ...), m, of paths from -half to half, s, whose mean is x, y.
+    `carried(px, py, t)` returns where water that is at (px, py) at time 0 is at time t."""
     px, py = x, y
     # correct the position at mid-time until the mean of both ends is the given point
     for _ in range(3):
@@ -91,8 +90,8 @@ class BeadField:
 
 
 class Population:
-    """Beads on a rectangle of water with limits x and y, m, which return on the opposite side if they leave
-    it. A fraction moves to random places each second, which keeps the density even in long records."""
+    """Beads on a rectangle of water with limits x and y, m; those that leave return on the other side.
+    A fraction moves to random places each second, which keeps the density even in long records."""
 
     def __init__(
         self, scene: Scene, basin: Basin, x: tuple[float, float], y: tuple[float, float], cameras: int

@@ -119,8 +119,7 @@ class Particles:
         return np.stack([x0 + np.mod(x - x0, x1 - x0), y0 + np.mod(y - y0, y1 - y0), np.mod(height, 1.0)])
 
     def truth(self, x: Array, y: Array, time: float) -> Truth:
-        """Return the exact velocities and displacements, in sheet axes, at nodes x, y (ny, nx), m.
-        `time` is the mid-time of the step, s. All elevations in the result are zero."""
+        """Return the exact velocities and displacements, in sheet axes, at nodes x, y (ny, nx), m; z is 0."""
         start, end = centred_path(self.flow.carry, x, y, self._step / 2)
         zero = np.zeros(np.shape(x))
         u, v, w = self.flow(x, y)
@@ -129,8 +128,7 @@ class Particles:
 
 
 def plane(settings: Sheet) -> tuple[Array, Array]:
-    """Return the unit vectors along x, y and the normal of the sheet (columns, (3, 3)), and its origin (3,),
-    m."""
+    """Return unit vectors along x, y and the normal of the sheet (columns of (3, 3)), and its origin, m."""
     bx, by = np.tan(np.radians(settings.tilt))
     normal = np.array([-bx, -by, 1.0]) / np.sqrt(1.0 + bx * bx + by * by)
     x = np.array([1.0, 0.0, bx]) / np.sqrt(1.0 + bx * bx)

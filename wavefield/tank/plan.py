@@ -3,23 +3,22 @@
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 
+from wavefield.measurement import GridGeometry, measure
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_size
+from wavefield.tank.scene import Scene
+from wavefield.tank.tank import Tank
 from wavefield.variables import AROUND, Quality
-
-if TYPE_CHECKING:
-    from wavefield.tank.scene import Scene
 
 EDGE = 0.04  # errors nearer to the edge of the grid are not counted, m
 
 
 def plan(
-    scene: "Scene | str | Path" = "demo", *, rig: Rig | Mapping[str, object] | None = None, **changes: object
+    scene: Scene | str | Path = "demo", *, rig: Rig | Mapping[str, object] | None = None, **changes: object
 ) -> xr.Dataset:
     """Predict the errors of an experiment from one simulated step of it.
 
@@ -57,10 +56,6 @@ def plan(
     >>> found = wf.plan(grid=grid, surface={"density": 5000}, light={"bits": 8})  # doctest: +SKIP
     >>> found.error.sel(quantity="z")  # doctest: +SKIP
     """
-    from wavefield.measurement import GridGeometry, measure
-    from wavefield.tank.scene import Scene
-    from wavefield.tank.tank import Tank
-
     with TemporaryDirectory() as folder:
         if isinstance(rig, Rig):
             rig.save(Path(folder) / "rig.yaml")

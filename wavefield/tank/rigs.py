@@ -98,22 +98,12 @@ def platform_rig(height: float, baseline: float, pitch: float, focal: float, siz
 def _camera(
     focal: float, rotation: Array, translation: Array, size: tuple[int, int], k1: float, tilt: float
 ) -> Camera:
-    return Camera(
-        fx=focal,
-        fy=focal,
-        cx=(size[0] - 1) / 2.0,
-        cy=(size[1] - 1) / 2.0,
-        rotation=rotation,
-        translation=translation,
-        size=size,
-        k1=k1,
-        tau_y=tilt,
-    )
+    middle = (size[0] - 1) / 2.0, (size[1] - 1) / 2.0
+    return Camera(focal, focal, *middle, rotation, translation, size, k1=k1, tau_y=tilt)
 
 
 def _orientation(axis: Array, roll: float) -> Array:
-    """Return the rotation (3, 3), rig to camera, of a camera along `axis` (3,), turned about it by `roll`,
-    rad."""
+    """Return the rotation (3, 3), rig to camera, of a camera along `axis` (3,), turned by `roll`, rad."""
     down = np.array([0.0, -1.0, 0.0])
     right = np.cross(down, axis)
     c, s = np.cos(roll), np.sin(roll)
@@ -123,16 +113,14 @@ def _orientation(axis: Array, roll: float) -> Array:
 def bounds(
     rig: Rig, lowest: float, highest: float, margin: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits along x and y, m, of the water that any camera sees at these heights, plus a
-    margin."""
+    """Return the limits in x and y, m, of the water that any camera sees at these heights, plus `margin`."""
     corners = np.concatenate([_bounding(rig[name], z) for name in rig for z in (lowest, highest)])
     low, high = np.nanmin(corners, axis=0) - margin, np.nanmax(corners, axis=0) + margin
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
 def _bounding(camera: Camera, height: float) -> Array:
-    """Return points x, y, (n, 2), m, that span a camera's view of the plane at `height`, m, up to the
-    horizon."""
+    """Return points (n, 2), m, that span a camera's view of the plane at `height`, m, up to the horizon."""
     corners = camera.corners(height)
     if np.isfinite(corners).all():
         return corners

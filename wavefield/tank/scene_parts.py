@@ -89,9 +89,7 @@ class Spots(Part):
 
     brightness: Positive = Field(default=110.0, description="mean height of a spot, grey levels of 255")
     spread: NotNegative = Field(default=0.35, description="relative spread of brightness over beads")
-    spread_between: NotNegative = Field(
-        default=0.15, description="relative spread between cameras for one bead"
-    )
+    spread_between: NotNegative = Field(default=0.15, description="relative spread of a bead between cameras")
 
     def draw_brightness(self, cameras: int, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
         """Return random values of the relative brightness of each bead in each camera, (cameras, count)."""
@@ -126,9 +124,7 @@ class Texture(Part):
     mesh: Positive | None = Field(default=None, description="size of the grains, m; by default 1.5 pixels")
     contrast: Positive = Field(default=40.0, description="standard deviation, grey levels of 255")
     mean: NotNegative = Field(default=120.0, description="grey levels of 255")
-    carried: bool = Field(
-        default=False, description="moves with the water; else it stays and only its height changes"
-    )
+    carried: bool = Field(default=False, description="moves with the water, or only up and down with it")
 
 
 class SeaSurface(Part):
@@ -136,9 +132,7 @@ class SeaSurface(Part):
 
     kind: Literal["sea"] = "sea"
     mesh: Positive = Field(default=0.08, description="size of the finest grains of ripples and foam, m")
-    ripple_slope: NotNegative = Field(
-        default=0.12, description="rms slope of the ripples, by which they shade"
-    )
+    ripple_slope: NotNegative = Field(default=0.12, description="rms slope of ripples, by which they shade")
     water: NotNegative = Field(default=20.0, description="light from below the surface, grey levels of 255")
     sky: NotNegative = Field(default=200.0, description="the sky at the horizon, grey levels of 255")
     foam: NotNegative = Field(default=190.0, description="brightness of foam, grey levels of 255")
@@ -212,12 +206,10 @@ class Strings(Part):
     mesh: Positive = Field(default=0.10, description="distance between strings, m")
     width: Positive = Field(default=3e-3, description="width of a string, m")
     half: Annotated[int, Field(ge=2)] = Field(
-        default=10, description="strings on each side of the middle one"
+        default=10, description="strings beside the middle one, each side"
     )
     origin_disc: Positive = Field(default=0.036, description="diameter of the disc at the origin, m")
-    x_disc: Positive = Field(
-        default=0.022, description="diameter of the disc at the next crossing along +x, m"
-    )
+    x_disc: Positive = Field(default=0.022, description="diameter of the disc at the next crossing, m")
     brightness: Positive = Field(default=150.0, description="grey levels of 255")
 
 
@@ -352,14 +344,10 @@ class RandomSea(_SeaSettings):
     rms: NotNegative = Field(description="standard deviation of the elevation, m")
     spectrum: Annotated[Jonswap | PowerLaw, Field(discriminator="kind")]
     direction: float = Field(default=0.0, description="main direction, degrees anticlockwise from +x")
-    spread: NotNegative = Field(
-        default=0.0, description="exponent s of cos^2s of half the angle; 0 is isotropic"
-    )
+    spread: NotNegative = Field(default=0.0, description="exponent s of cos^2s(angle / 2); 0: isotropic")
     shortest: Positive = Field(default=0.05, description="shortest free wave, m")
     longest: Positive = Field(default=np.inf, description="longest free wave, m")
-    period: Positive = Field(
-        default=6.0, description="the sea repeats itself in x and y after this distance, m"
-    )
+    period: Positive = Field(default=6.0, description="the sea repeats itself after this distance, m")
     order: Literal[1, 2] = Field(default=1, description="2 adds the waves bound to the steepest free ones")
     interacting: Annotated[int, Field(ge=2, le=2000)] = Field(
         default=300, description="number of free waves (the steepest) that get bound waves, with order 2"

@@ -171,8 +171,7 @@ class Sea:
 
     @property
     def axes(self) -> tuple[Array, Array]:
-        """Wavenumbers along x (nkx,), none negative, and along y (nky,), rad/m; waves with kx < 0 are
-        conjugate."""
+        """Wavenumbers along x, (nkx,), none negative, and y, (nky,), rad/m; others become conjugates."""
         return self._layout.kx, self._layout.ky
 
     @property
@@ -234,8 +233,7 @@ class Sea:
         return out
 
     def at(self, x: ArrayLike, y: ArrayLike, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
-        """Return exact fields by name at a time, s, at points x, y, metres, of any shape; units as in
-        `on_grid`."""
+        """Return exact fields by name at a time, s, at points x, y, m, of any shape, as `on_grid` does."""
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         shape, x, y = x.shape, x.ravel(), y.ravel()
         coefficients = self._coefficients(time)
@@ -244,8 +242,7 @@ class Sea:
         return {name: values.reshape(shape) for name, values in self._finish(out, names).items()}
 
     def _finish(self, out: dict[str, Array], names: Sequence[str]) -> dict[str, Array]:
-        """Add the current to the sums over waves `out`, compute w as z_t + u z_x + v z_y, and return
-        `names`."""
+        """Add the current to `out`, compute w as z_t + u z_x + v z_y, and return the fields `names`."""
         for name, speed in zip(("u", "v"), self.current, strict=True):
             if name in out and speed:
                 out[name] = out[name] + speed
@@ -316,10 +313,6 @@ def _transform(phase: Array) -> Array:
     return np.cos(np.outer(phase, r)) @ (weights * _kernel(r)) * KERNEL_WIDTH / 2
 
 
-def _waves(a: ArrayLike, b: ArrayLike) -> Complex:
-    return np.exp(1j * np.multiply.outer(a, b))
-
-
 class Basin:
     """A rectangle of a sea, with limits x and y, m, for fields at any point: a non-uniform FFT of type 2.
     Fields are summed on a lattice and interpolated with a kernel; errors are 1e-7 of the elevation."""
@@ -336,8 +329,8 @@ class Basin:
         count = [int(np.ceil((hi - lo) / step)) + 2 * margin + 1 for lo, hi in (x, y)]
         kx, ky = sea.axes
         gx, gy = (origin + step * np.arange(n) for origin, n in zip(self._origin, count, strict=True))
-        self._ex = _waves(kx, gx) / _transform(kx * step)[:, None]
-        self._ey = _waves(gy, ky) / _transform(ky * step)
+        self._ex = np.exp(1j * np.multiply.outer(kx, gx)) / _transform(kx * step)[:, None]
+        self._ey = np.exp(1j * np.multiply.outer(gy, ky)) / _transform(ky * step)
 
     def snapshot(self, time: float, names: Sequence[str] = ("z",)) -> "Snapshot":
         """Return the fields `names` (z, z_x, z_y, z_t, u, v) at a time, s, as a function of x and y."""

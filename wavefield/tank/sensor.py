@@ -38,8 +38,7 @@ def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
 
 
 def illumination(size: tuple[int, int], unevenness: float, seed: int) -> Image:
-    """Return the relative illumination (row, column) of an image: a gradient in a random direction, dark
-    edges."""
+    """Return the relative illumination (row, column): a gradient in a random direction, dark edges."""
     angle = np.random.default_rng([seed, 3]).uniform(0, 2 * np.pi)
     x = np.linspace(-1, 1, size[0], dtype=np.float32)
     y = np.linspace(-1, 1, size[1], dtype=np.float32)[:, None]

@@ -81,7 +81,7 @@ class Tank:
         return truth(self.basin, grid, time, 1.0 / self.scene.frame_rate)
 
     def spot_width(self, camera: Camera) -> float:
-        """Standard deviation of a bead's image, px: blur of the lens and size of the bead (radius / 2)."""
+        """Standard deviation of a bead's image, px: the blur of the lens, and half the bead's radius."""
         surface = self.scene.surface
         size = 0.0 if isinstance(surface, (Texture, SeaSurface)) else surface.diameter
         pixel = float(np.sqrt(np.prod(rigs.pixel_footprint(camera))))
@@ -94,8 +94,7 @@ class Tank:
         return {name: self.draw(name, frame, self.beads(name, frame)) for name in names}
 
     def beads(self, name: str, frame: int) -> BeadField | None:
-        """Return the beads that a camera sees in a frame (an earlier one if it is late); None without
-        beads."""
+        """Return the beads that a camera sees in a frame, or None; a late camera sees an earlier frame."""
         if isinstance(self.scene.surface, (Texture, SeaSurface)):
             return None
         return self.population.frame(self._frame_taken(name, frame))
@@ -142,8 +141,7 @@ class Tank:
         return replace(beads, x=x, y=y, z=z)
 
     def _rolling(self, camera: Camera, beads: BeadField, frame: int, row_time: float) -> tuple[Array, Array]:
-        """Return columns and rows (n,), px, of beads in a rolling shutter with `row_time`, s, from row to
-        row."""
+        """Return columns and rows (n,), px, of beads if rows are read `row_time`, s, one after the other."""
         middle = (camera.size[1] - 1) / 2
         time, half = self.frame_time(frame), row_time * middle
         moments = (self._delayed(beads, time, -half), beads, self._delayed(beads, time, half))
@@ -203,8 +201,7 @@ class Tank:
         return np.asarray(gaussian_filter(image, self.scene.light.blur, mode="nearest"), np.float32)
 
     def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
-        """Return two splines of (y, x): how far water moved from `frame` back to frame 0, along x and y,
-        m."""
+        """Return two splines of (y, x): how far water moved from `frame` back to frame 0, in x and y, m."""
         with self._drift_lock:  # other threads may be drawing other frames
             return self._drifts[frame]
 

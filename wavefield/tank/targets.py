@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from wavefield.compiled import compiled
 from wavefield.rig import Camera
@@ -25,8 +26,7 @@ class Pose:
 
 
 def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, float], seed: int) -> list[Pose]:
-    """Return random poses of a target as if held in the field x, y, m, each tilted another way by up to
-    `tilt`."""
+    """Return random poses of a target in the field x, y, m, each tilted another way, by up to `tilt`."""
     rng = np.random.default_rng([seed, 8])
     size = min(x[1] - x[0], y[1] - y[0])
     out = []
@@ -37,17 +37,8 @@ def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, floa
         turn = np.radians(rng.uniform(-8, 8))
         centre = np.array([rng.uniform(-0.08, 0.08) * size, rng.uniform(-0.08, 0.08) * size, 0.0])
         centre += [0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]), (0.02 + 0.22 * i / max(number - 1, 1)) * size]
-        out.append(Pose(_rotation(0, about_x) @ _rotation(1, about_y) @ _rotation(2, turn), centre))
-    return out
-
-
-def _rotation(axis: int, angle: float) -> Array:
-    """Return the rotation (3, 3) by an angle, rad, about the coordinate axis 0, 1 or 2."""
-    c, s = np.cos(angle), np.sin(angle)
-    i, j = [(1, 2), (2, 0), (0, 1)][axis]
-    out = np.eye(3)
-    out[i, i] = out[j, j] = c
-    out[i, j], out[j, i] = -s, s
+        rotation = Rotation.from_euler("XYZ", [about_x, about_y, turn]).as_matrix()
+        out.append(Pose(rotation, centre))
     return out
 
 
@@ -77,18 +68,21 @@ _QUADRATURE = np.stack(
 
 
 def draw(camera: Camera, target: Strings | Chessboard | Dots, pose: Pose, blur: float) -> NDArray[np.float32]:
-    """Return the light of a target (row, column) in a camera, in grey levels of 255, without background or
-    noise."""
+    """Return the light of a target (row, column), in grey levels of 255, without background or noise."""
     # seen from a camera in the target's own axes, the target is the plane z = 0
     own = replace(camera, rotation=camera.R @ pose.rotation, translation=camera.R @ pose.origin + camera.T)
     width, height = camera.size
     columns = np.arange(-1.0, width + 1)  # one more on each side, for the derivatives
     bands = []
+    if isinstance(target, Strings):
+        discs = (0.0, 0.0, target.origin_disc / 2 / target.mesh), (1.0, 0.0, target.x_disc / 2 / target.mesh)
+        marks = np.array(discs)
+        frame = np.array([target.half + 0.5, FRAME_WIDTH / target.mesh, FRAME_SHADE])
     for top in range(0, height, BAND_ROWS):
         rows = np.arange(top - 1.0, min(top + BAND_ROWS, height) + 1)
         s, t = (a / target.mesh for a in own.unproject(columns, rows[:, None]))
         if isinstance(target, Strings):
-            bands.append(_draw_strings(target, s, t, blur))
+            bands.append(_strings(s, t, target.width / target.mesh, marks, frame, blur, _QUADRATURE))
         else:
             nx, ny = target.shape
             s, t = s + (nx - 1) / 2, t + (ny - 1) / 2
@@ -98,13 +92,6 @@ def draw(camera: Camera, target: Strings | Chessboard | Dots, pose: Pose, blur: 
             else:
                 bands.append(_chessboard(s, t, nx, ny, blur, _QUADRATURE))
     return np.concatenate(bands) * np.float32(target.brightness)
-
-
-def _draw_strings(target: Strings, s: Array, t: Array, blur: float) -> NDArray[np.float32]:
-    marks = np.array([[0.0, 0.0, target.origin_disc / 2], [1.0, 0.0, target.x_disc / 2]])
-    marks[:, 2] /= target.mesh
-    frame = np.array([target.half + 0.5, FRAME_WIDTH / target.mesh, FRAME_SHADE])
-    return _strings(s, t, target.width / target.mesh, marks, frame, blur, _QUADRATURE)
 
 
 @compiled()

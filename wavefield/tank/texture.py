@@ -69,8 +69,7 @@ def horizon_dip(height: float) -> float:
 
 
 def visible_water(camera: Camera, snapshot: Snapshot, reach: float) -> VisibleWater:
-    """Return the water that each pixel's sight line meets first; `snapshot` holds z, z_x, z_y, `reach` is max
-    z."""
+    """Return the water that sight lines meet first; `snapshot` holds z, z_x, z_y, `reach` is max z, m."""
     width, height = camera.size
     x, y = camera.unproject(np.arange(float(width)), np.arange(float(height))[:, None])
     rows, columns = np.arange(0, height, COARSE), np.arange(0, width, COARSE)

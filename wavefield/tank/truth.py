@@ -59,8 +59,7 @@ def truth(basin: Basin, grid: Grid, time: float, dt: float) -> Truth:
 
 
 def displacement(basin: Basin, x: Array, y: Array, time: float, dt: float) -> tuple[Array, Array, Array]:
-    """Return displacements along x, y, z, m, in a step `dt`, s, of water whose paths are centred on x, y,
-    m."""
+    """Return displacements in x, y, z, m, in a step `dt`, s, of water on paths centred on x, y, m."""
 
     def carried(px: Array, py: Array, after: float) -> Array:
         return np.stack(carry(basin, px, py, time, time + after))

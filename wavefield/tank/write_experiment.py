@@ -192,7 +192,8 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
         }
         Rig(lenses, {"source": "lenses alone, without positions"}).save(directory / "lenses.yaml")
     note = f"# A simulated experiment (scene {scene.name}). The exact answer is in truth/.\n"
-    write_text(directory / "experiment.yaml", note + _yaml(experiment, 100))
+    text = yaml.safe_dump(experiment, sort_keys=False, default_flow_style=None, width=100)
+    write_text(directory / "experiment.yaml", note + text)
     write_text(directory / "scene.yaml", scene.to_yaml())
     tank.rig.save(directory / "truth" / "rig.yaml")
     if scene.probes.positions:
@@ -206,15 +207,8 @@ def _write_probes(path: Path, scene: Scene, sea: Sea) -> None:
     x, y = np.array(list(settings.positions.values()), float).T
     z = np.array([sea.at(x, y, time, ("z",))["z"] for time in times + scene.start])
     z += settings.noise * np.random.default_rng([scene.seed, 10]).standard_normal(z.shape)
-    lines = [",".join(["time", *settings.positions])]
-    for time, row in zip(times, z, strict=True):
-        lines.append(",".join(f"{value:.6f}" for value in (time, *row)))
-    write_text(path, "\n".join(lines) + "\n")
-
-
-def _yaml(data: dict[str, object], width: int) -> str:
-    text: str = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=width)
-    return text
+    rows = [",".join(f"{value:.6f}" for value in row) for row in np.column_stack([times, z])]
+    write_text(path, "\n".join([",".join(["time", *settings.positions]), *rows]) + "\n")
 
 
 def _describe_water(scene: Scene) -> dict[str, float]:
@@ -238,8 +232,7 @@ def _describe_target(scene: Scene) -> dict[str, object]:
 
 
 def _pairing(tank: Tank) -> dict[str, object]:
-    """Return the blocks `surface` and `velocity` of the experiment file: pairs with the most upright camera,
-    velocity by the others."""
+    """Return `surface` (pairs with the most upright camera) and `velocity` (the others) of the file."""
     names = list(tank.rig)
     if len(names) < 2:
         return {}
