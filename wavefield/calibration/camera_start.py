@@ -253,7 +253,7 @@ def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> dict[str, bo
 def _wrong_views(
     names: Sequence[str], pairs: Mapping[tuple[str, str], Mapping[str, bool]]
 ) -> list[tuple[str, str]]:
-    """Return the views (camera, pose) that contradict all other cameras; both if only two saw the pose."""
+    """Return the views (camera, pose) that no other camera confirms; both if only two cameras saw a pose."""
     comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): agreement with each partner
     for cameras, agreement in pairs.items():
         for pose, good in agreement.items():
@@ -278,7 +278,7 @@ def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) -> Array:
-    """Return how far the target's origins that a and b found are apart across b's sight line (3,), m."""
+    """Return the offset (3,), m, across b's sight line between the target's origins that a and b found."""
     expected = R @ a.poses[pose][1] + t
     observed = b.poses[pose][1]
     along = observed / np.linalg.norm(observed)

@@ -99,7 +99,7 @@ def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes
 
 
 def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
-    """Return the part of a mask (n,) of pixels x, y nearest to the point `at`, dilated by three pixels."""
+    """Return the connected part of a mask (n,) nearest to the point `at`, dilated by three pixels."""
     row, column = y - y.min() + 4, x - x.min() + 4
     raster = np.zeros((row.max() + 5, column.max() + 5), np.uint8)
     raster[row, column] = mask

@@ -115,7 +115,7 @@ def around(node: Nodes, steps: Nodes) -> Nodes:
 
 
 def _windows(table: Array, node: Nodes) -> Array:
-    """Return the entries of a table, with node (0, 0) at REACH, around each node: (m, 25, ...)."""
+    """Return the entries of a table within two indices of each node (m, 2), as (m, 25, ...)."""
     index = node[:, None] + WINDOW + REACH
     out: Array = table[index[..., 0], index[..., 1]]
     return out

@@ -80,7 +80,7 @@ class Observations:
     def of_points(
         cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], poses: tuple[str, ...], count: int
     ) -> "Observations":
-        """Make observations of `count` free points, seen by all cameras, placed by `Geometry.offset`."""
+        """Make observations of `count` points by every camera; `Geometry.offset` holds the positions."""
         n = len(cameras) * count
         return Observations(
             cameras,

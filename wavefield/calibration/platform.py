@@ -132,9 +132,8 @@ def fit_platform(
     horizons: Mapping[str, Array],
     distance: float | None = None,
 ) -> PlatformFit:
-    """Fit level and height of the cameras, and with `distance` the second one's pose, to matches and
-    horizons. Residuals are distances of matches across and along epipolar lines (waves), and from the
-    horizon."""
+    """Fit the level and height of the cameras to matched features and points of the horizon.
+    If `distance`, m, is given, the pose of the second camera is fitted too."""
     kept = [one for one in _joined(matches) if len(one.a)]
     kept = [_on_water(start, one) for one in kept]
     fit = start
@@ -223,7 +222,7 @@ def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
 
 
 def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Array]:
-    """Return distances of matches across and along epipolar lines, px, and the latter's change per m of z."""
+    """Return distances of matches across and along their epipolar lines, px, and d(along)/dz, px/m."""
     first, second = (fit.cameras[name] for name in one.pair)
     rays = sight_lines(first, one.a) @ first.R
     down = np.minimum(rays @ fit.up, -MIN_DOWN / 4)

@@ -52,8 +52,8 @@ def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
 
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
-    """Return the points x, y, z, (n,), m, nearest to sight lines, and reprojection errors (n, cameras, 2),
-    px."""
+    """Return the points x, y, z, (n,), m, nearest to the sight lines of matched pixels.
+    The fourth result is the observed minus the projected pixels, (n, cameras, 2)."""
     names, pixel = stack_matches(rig, matches)
     cameras = [rig[name] for name in names]
     apparent = np.stack([np.stack(c.unproject(*pixel[:, k].T)) for k, c in enumerate(cameras)])
@@ -79,8 +79,8 @@ class Solution:
 
 
 class SightLineFit:
-    """Least-squares fit of a rig's cameras to matched pixels of std `std`, px; its calibration is the
-    prior."""
+    """Least-squares fit of a rig's cameras to matched pixels of standard uncertainty `std`, px.
+    The calibration of the rig, with its covariance, is the prior."""
 
     def __init__(self, rig: Rig, matches: Matches, std: float):
         self.names, pixel = stack_matches(rig, matches)

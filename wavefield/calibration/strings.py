@@ -174,7 +174,8 @@ def _pairs_of_discs(
 
 
 def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
-    """Return the brightness (node, circle, direction) beyond a typical node's, and the typical one."""
+    """Return the brightness around each node minus that of a typical node, (node, circle, direction),
+    and the brightness of the typical node, (circle, direction)."""
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
     offset = CIRCLES[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)

@@ -189,8 +189,8 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
 
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
-    """Return pairs of mesh vectors, px, from dot k, the smallest cells first.
-    Dots must be at a vector's end, at its opposite, and at the sum of the two vectors."""
+    """Return pairs of mesh vectors, px, from dot k, those that span the smallest cells first.
+    Dots must lie at the end of each vector, at its opposite, and at the sum of the two vectors."""
     _, near = tree.query(centre[k], min(22, len(centre)))
     vectors = centre[near[1:]] - centre[k]
     ends = cKDTree(vectors)
@@ -230,7 +230,7 @@ def _other_dots(level: PlateLevel, centre: Array) -> Array:
 
 
 def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
-    """Return the level of dots in the middles of the cells of `one`, but for a smooth parallax."""
+    """Return the dots near the middles of the cells of `one`, which a smooth parallax shifts."""
     rest = _other_dots(one, centre)
     if len(rest) < LIMITS.min_nodes:
         return None

@@ -171,7 +171,8 @@ class Sea:
 
     @property
     def axes(self) -> tuple[Array, Array]:
-        """Wavenumbers along x, (nkx,), none negative, and y, (nky,), rad/m; others become conjugates."""
+        """Wavenumbers of all waves along x, (nkx,), and along y, (nky,), rad/m.
+        A wave with kx < 0 is stored as its complex conjugate at -k."""
         return self._layout.kx, self._layout.ky
 
     @property
@@ -252,7 +253,7 @@ class Sea:
 
 
 def _needed(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the fields to sum over waves for `names`; all but w for w."""
+    """Return the fields that must be summed over waves to find `names`; w needs all others."""
     unknown = set(names) - set(FIELDS)
     if unknown:
         raise ValueError(f"the sea has no field {sorted(unknown)[0]!r}; it has {', '.join(FIELDS)}")

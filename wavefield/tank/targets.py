@@ -75,8 +75,7 @@ def draw(camera: Camera, target: Strings | Chessboard | Dots, pose: Pose, blur: 
     columns = np.arange(-1.0, width + 1)  # one more on each side, for the derivatives
     bands = []
     if isinstance(target, Strings):
-        discs = (0.0, 0.0, target.origin_disc / 2 / target.mesh), (1.0, 0.0, target.x_disc / 2 / target.mesh)
-        marks = np.array(discs)
+        marks = np.array([[0, 0, target.origin_disc], [1, 0, target.x_disc]]) / [1, 1, 2 * target.mesh]
         frame = np.array([target.half + 0.5, FRAME_WIDTH / target.mesh, FRAME_SHADE])
     for top in range(0, height, BAND_ROWS):
         rows = np.arange(top - 1.0, min(top + BAND_ROWS, height) + 1)

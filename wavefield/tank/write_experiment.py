@@ -177,10 +177,9 @@ def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
         **_pairing(tank),
         "grid": {"x": list(scene.grid.x), "y": list(scene.grid.y), "step": scene.grid.step},
         "water": _describe_water(scene),
-        "probes": {"file": "probes.csv", "places": {n: list(xy) for n, xy in scene.probes.positions.items()}},
     }
-    if not scene.probes.positions:
-        del experiment["probes"]
+    if places := {name: list(xy) for name, xy in scene.probes.positions.items()}:
+        experiment["probes"] = {"file": "probes.csv", "places": places}
     if isinstance(scene.surface, Sheet):
         experiment["settings"] = {"preset": "sheet", "sheet_thickness": scene.surface.thickness}
     if not tank.target_poses:  # at sea only the lenses are known
