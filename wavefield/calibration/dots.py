@@ -219,8 +219,7 @@ def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> t
     if sorted(span) != sorted(shape) or len(node) != np.prod(shape):
         raise CalibrationError(
             f"no grid of {shape[0]} x {shape[1]} dots was found (the largest regular grid has {len(node)}); "
-            "all of it must be in view and in focus; "
-            "grids whose rows are set off by half a dot (asymmetric) are not supported"
+            "all of it must be in view and in focus, and rows must not be set off by half a dot"
         )
     if tuple(span) != shape:  # the lattice's first axis is the target's second
         node = np.stack([node[:, 1], span[0] - 1 - node[:, 0]], -1)

@@ -32,7 +32,6 @@ from wavefield.calibration.observations import (
 )
 from wavefield.calibration.points import Mask
 from wavefield.calibration.target import Target
-from wavefield.one_thread import one_thread
 from wavefield.rig import Rig
 from wavefield.rig.lens import LENS
 from wavefield.robust import robust_std
@@ -83,7 +82,6 @@ class Calibration:
     reference: str = ""
 
 
-@one_thread()
 def calibrate(
     views: Views,
     target: Target | float,

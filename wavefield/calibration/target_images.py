@@ -19,6 +19,7 @@ from wavefield.calibration.target import Target
 from wavefield.calibration.two_level import find_two_level
 from wavefield.errors import CalibrationError, ExperimentError, FrameError
 from wavefield.images import read_image
+from wavefield.one_thread import one_thread
 from wavefield.rig import Rig
 from wavefield.series import Experiment
 from wavefield.series.target_listing import find_views
@@ -66,8 +67,7 @@ def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
     Raises
     ------
     CalibrationError
-        If the image is empty or overexposed, or shows no such target, too little of it, or a mirrored
-        ChArUco board.
+        If the image is empty, overexposed, or shows no such target or too little of it.
     """
     grey = scaled(image)
     try:
@@ -133,6 +133,7 @@ def is_table(path: Path) -> bool:
     return path.suffix.lower() in TABLES
 
 
+@one_thread()
 def calibrate_experiment(
     experiment: str | Path | Experiment,
     progress: Callable[[int, int], None] | None = None,
