@@ -123,7 +123,6 @@ class _Match:
     pair: Pair
     a: Array  # (n, 2): Pixels of the first camera
     b: Array  # (n, 2): Pixels of the second camera
-    instant: NDArray[np.intp]  # (n,): Number of the instant
 
 
 def fit_platform(
@@ -185,11 +184,10 @@ def _joined(matches: Sequence[Instant]) -> list[_Match]:
     """Join the matches of all instants by pair of cameras, thinned evenly to `MAX_MATCHES`."""
     out = []
     for pair in dict.fromkeys(pair for one in matches for pair in one):
-        parts = [(number, one[pair]) for number, one in enumerate(matches) if pair in one]
-        a, b = (np.concatenate([np.reshape(p[side], (-1, 2)) for _, p in parts]) for side in (0, 1))
-        instant = np.concatenate([np.full(len(p[0]), number) for number, p in parts])
+        parts = [one[pair] for one in matches if pair in one]
+        a, b = (np.concatenate([np.reshape(part[side], (-1, 2)) for part in parts]) for side in (0, 1))
         every = -(-len(a) // MAX_MATCHES) if len(a) else 1
-        out.append(_Match(pair, a[::every], b[::every], instant[::every]))
+        out.append(_Match(pair, a[::every], b[::every]))
     return out
 
 
@@ -201,7 +199,7 @@ def _on_water(fit: PlatformFit, one: _Match) -> _Match:
     near &= down > MIN_DOWN
     if near.any():
         near &= down > np.median(down[near]) / MAX_DISTANCE_RATIO
-    return _Match(one.pair, one.a[near], one.b[near], one.instant[near])
+    return _Match(one.pair, one.a[near], one.b[near])
 
 
 def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
