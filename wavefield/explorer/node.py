@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating]
 MAX_PROBE_DISTANCE_M = 0.05  # a probe farther away measures other phases of short waves
 _MAIN = ("z", "u", "v", "w")
-MIN_STEPS_OF_SPECTRUM = 32  # the shortest Welch window
+MIN_STEPS_OF_SPECTRUM = 32  # the shortest run, which has one segment
 
 
 class Spectrum(NamedTuple):
@@ -47,20 +47,17 @@ def longest_run(values: Array) -> Array:
 
 def spectrum(values: Array, dt: float) -> Spectrum | None:
     """Return the Welch spectrum of the `longest_run` of a series (n,), or None if it has under 32 steps.
-    `dt` is the time step, s. The segments, Hann windows that overlap by half, have a power of two of steps,
-    from 32 to 1024; a long run has at least eight of them."""
+    `dt` is the time step, s. Segments and degrees of freedom are those of `wavefield analyze`."""
     from scipy import signal  # takes most of a second to import
 
-    from wavefield.waves.welch import interval
+    from wavefield.waves.welch import choose_segment, degrees_of_freedom, interval, segment_count
 
     run = longest_run(np.asarray(values, float))
     if run.size < MIN_STEPS_OF_SPECTRUM:
         return None
-    segment = min(1024, 1 << int(np.log2(max(MIN_STEPS_OF_SPECTRUM, 2 * run.size / 9))))
+    segment = choose_segment(run.size)
     frequency, density = signal.welch(run, fs=1 / dt, nperseg=segment, detrend="constant")
-    count = max(1, (run.size - segment // 2) // (segment - segment // 2))
-    dof = 2.0 * count * 18.0 / 19.0 if count > 1 else 2.0  # Hann windows that overlap by half
-    low, high = interval(dof)
+    low, high = interval(degrees_of_freedom(segment_count(run.size, segment)))
     return Spectrum(frequency[1:], density[1:], float(low), float(high))
 
 
