@@ -32,8 +32,7 @@ def gaussian(sigma: float) -> np.ndarray:
 
 
 def window_sigma(window: float) -> float:
-    """Return the standard deviation, in blocks, of the Gaussian window for the setting `window`, px.
-    `window` is the side of a square with the area of the Gaussian."""
+    """Return the standard deviation, blocks, of the Gaussian with the area of a square of side `window` px."""
     return float(window / np.sqrt(4 * np.pi) / BLOCK)
 
 
@@ -50,9 +49,8 @@ def filtered(field: np.ndarray, weights: np.ndarray, out: np.ndarray | None = No
 def smoothed(
     field: np.ndarray, sigma: float, order: int, weighting: tuple[np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:
-    """Smooth a field f (ny, nx) by the filter 1 - (1 - G)^order, with G a Gaussian of `sigma` blocks.
-    `weighting` comes from `smoother_weights`. With it, G is a weighted mean: G(w f) / G(w), with w the
-    weights of the blocks. For a sigma of 0 the field itself is returned."""
+    """Smooth a field f (ny, nx) by 1 - (1 - G)^order, with G a Gaussian of `sigma` blocks; 0 does nothing.
+    With `weighting` from `smoother_weights`, G is the weighted mean G(w f) / G(w)."""
     if sigma == 0:
         return field
     g = gaussian(sigma)
@@ -72,16 +70,13 @@ def smoothed(
 
 
 def smoother_weights(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the `weighting` for `smoothed`: the weights (ny, nx) of the blocks, and their norm (ny, nx).
-    The norm is the reciprocal of the weights smoothed by a Gaussian of `sigma` blocks."""
+    """Return the weights w (ny, nx) of the blocks, and 1 / G(w), with G a Gaussian of `sigma` blocks."""
     return weight, F(1) / np.maximum(filtered(weight, gaussian(sigma)), F(1e-3))
 
 
 def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.ndarray:
-    """Displacement gradients du/dx, du/dy, dv/dx, dv/dy per px, (4, ny, nx) float32.
-    u and v (ny, nx), px, are averages over an area around each block. `averaged_variance` is the variance of
-    this area, px^2; the gradients are corrected for the averaging. Differences are of sixth order, because
-    two-point differences are a quarter too small for waves of five blocks."""
+    """Return du/dx, du/dy, dv/dx, dv/dy per px, (4, ny, nx), by differences of sixth order.
+    u, v (ny, nx), px, are averages over an area of this variance, px^2, for which slopes are corrected."""
     side = 0.5 * averaged_variance / BLOCK**2
     sharpened = np.array([-side, 1.0 + 2.0 * side, -side])
     difference = np.convolve(_DIFFERENCE, sharpened)
@@ -118,9 +113,8 @@ def _extend_oddly(field: np.ndarray, margin: int, out: np.ndarray) -> None:
 
 @njit
 def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) -> None:
-    """Correct the scores `sums` (2, ny, nx), in place, for displacement gradients inside each block.
-    The scores were computed with one displacement for the whole block. `slope` (4, ny, nx) holds the
-    gradients from `slopes`, and `moments` (9, ny, nx) the output of `gradient_moments`."""
+    """Correct scores (2, ny, nx), in place, for the displacement gradients `slope` (4, ny, nx) inside blocks.
+    `moments` (9, ny, nx) comes from `gradient_moments`."""
     _, ny, nx = sums.shape
     for j in range(ny):
         sx, sy = sums[0, j], sums[1, j]
@@ -135,10 +129,8 @@ def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) ->
 def subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float]:
-    """Remove from the scores `sums` (2, ny, nx), in place, what the strain of bead images adds to them.
-    `moments` (8, ny, nx) is the output of `strain_moments`, `slope` (4, ny, nx) holds the displacement
-    gradients, and `count` (ny, nx) is 1 for usable blocks, else 0. Strain adds two terms, which the docstring
-    of `reevaluate` explains. Their coefficients c and s^2 are fitted by least squares and returned."""
+    """Remove from scores (2, ny, nx), in place, what strain of beads adds (`reevaluate`); return c and s^2.
+    `moments` (8, ny, nx) comes from `strain_moments`; `count` (ny, nx) is 1 for usable blocks, else 0."""
     aa, ab, bb, ra, rb = _strain_products(sums, moments, slope, count)
     determinant = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
     c = min(max((ra * bb - rb * ab) / determinant, 0.0), 1.0)
@@ -149,9 +141,7 @@ def subtract_strain(
 
 @njit
 def _strains(moments: np.ndarray, slope: np.ndarray, j: int, i: int) -> Any:
-    """Return four scores that strain adds to block (j, i), without their coefficients.
-    The first two (x, y) come from the brightness of the image, the last two (x, y) from its second
-    derivatives. `moments` is the output of `strain_moments`; `slope` holds the displacement gradients."""
+    """Return what strain adds to the x and y score of block (j, i): by brightness, by second derivatives."""
     ux, shear, vy = slope[0, j, i], slope[1, j, i] + slope[2, j, i], slope[3, j, i]
     divergence = ux + vy
     return (
@@ -166,9 +156,7 @@ def _strains(moments: np.ndarray, slope: np.ndarray, j: int, i: int) -> Any:
 def _strain_products(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float, float, float, float]:
-    """Return the five sums over usable blocks for the least-squares fit of the two strain terms.
-    With a the first term of `_strains`, b the second and r the scores `sums`, these are a a, a b, b b, r a
-    and r b."""
+    """Return the sums a a, a b, b b, r a, r b over usable blocks of both terms of `_strains` and scores r."""
     aa = ab = bb = ra = rb = 0.0
     for j in range(count.shape[0]):
         for i in range(count.shape[1]):
@@ -205,9 +193,8 @@ def step(
     u: np.ndarray,
     v: np.ndarray,
 ) -> None:
-    """Take one Gauss-Newton step in every block: add relaxation (H + ridge)^-1 s to u, v, in place.
-    h (3, ny, nx) holds xx, xy, yy of the Hessian H, and s (2, ny, nx) the scores; the caller has summed h and
-    s over the window. `ridge` is added to xx and yy. A step is at most `limit` px along each axis."""
+    """Add relaxation (H + ridge)^-1 s, at most `limit` px along each axis, to u, v in every block, in place.
+    h (3, ny, nx) is xx, xy, yy of the Hessian H, and s (2, ny, nx) the scores, summed over windows."""
     ny, nx = u.shape
     for j in range(ny):
         xx, xy, yy, sx, sy = h[0, j], h[1, j], h[2, j], s[0, j], s[1, j]
@@ -220,8 +207,7 @@ def step(
 
 
 def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
-    """Replace outliers in u, v, in place, by the median of 5 x 5 blocks; return their mask (ny, nx).
-    A block is an outlier if its distance from the median, |du| + |dv|, is more than `limit` px."""
+    """Replace u, v farther than `limit` px from the median of 5 x 5 blocks by it, in place; return where."""
     median_u, median_v = cv2.medianBlur(u, 5), cv2.medianBlur(v, 5)
     outlier: np.ndarray = np.abs(u - median_u) + np.abs(v - median_v) > F(limit)
     np.copyto(u, median_u, where=outlier)
@@ -237,8 +223,7 @@ def _doubling_maps(coarse: tuple[int, int], fine: tuple[int, int]) -> tuple[np.n
 
 
 def to_finer(field: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Interpolate a displacement field, px, to the next finer level of the pyramid, with `shape` (ny, nx).
-    The result is in px of the finer level, so its values are doubled."""
+    """Interpolate a displacement, px, to the next finer level with `shape` (ny, nx), where it is doubled."""
     x, y = _doubling_maps(field.shape, shape)
     return cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=BORDER) * F(2)
 
@@ -254,9 +239,8 @@ def block_weights(
     out: np.ndarray,
     block: int = BLOCK,
 ) -> None:
-    """Write 1 to out (ny, nx) for blocks that their displacement leaves inside image b, unmasked; else 0.
-    u, v (ny, nx) is the displacement, px; image b is `height` x `width` px. The masks of both images, (h, w)
-    uint8, are 1 where the whole block around a pixel is usable. A mask is empty if nothing is masked."""
+    """Write 1 to out (ny, nx) for blocks that u, v, px, leave inside image b and unmasked; else 0.
+    Masks (h, w) are 1 where the whole block around a pixel is usable, and empty if nothing is masked."""
     ny, nx = u.shape
     for j in range(ny):
         for i in range(nx):

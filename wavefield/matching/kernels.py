@@ -71,8 +71,8 @@ def work_space(nx: int) -> WorkSpace:
 
 @njit
 def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
-    """Smooth row y of an image along y by the quintic B-spline (s), and differentiate it along y (d).
-    image (h + 2 PAD, w + 2 PAD) includes its border; s and d (w + 4) start two pixels left of the image."""
+    """Smooth row y of an image with border along y by the quintic B-spline (s), and differentiate it (d).
+    s and d (w + 4) start two pixels left of the image."""
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
     d1, d2 = F(10 / 24), F(1 / 24)
     r0, r1, r2 = image[y + PAD - 2][PAD - 2 :], image[y + PAD - 1][PAD - 2 :], image[y + PAD][PAD - 2 :]
@@ -100,9 +100,7 @@ def _slope(s: Array, x: int) -> np.float32:
 
 @njit
 def _spline_row(image: Array, y: int, rows: Array, n: int) -> None:
-    """Write n smoothed pixels of row y of an image to rows[2], their gradients to rows[3] and rows[4].
-    The quintic B-spline smooths. Row 3 holds the gradients along x, row 4 those along y. `image` includes its
-    border; rows[0] and rows[1] are overwritten."""
+    """Write n smoothed pixels of row y of an image to rows[2], gradients along x and y to rows[3], [4]."""
     s, d = rows[0][: n + 4], rows[1][: n + 4]
     a, gx, gy = rows[2][:n], rows[3], rows[4]
     _spline_columns(image, y, s, d)
@@ -125,8 +123,7 @@ def _fold(row: Array, out: Array) -> None:
 @njit
 def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
     """Write the sums of gx gx, gx gy, gy gy over each block to out[:3]; times x to [3:6], times y to [6:].
-    gx and gy are the gradients of `image` (with its border), and x, y the distance of a pixel from the centre
-    of its block, px. out is (9, ny, nx); `work` is scratch."""
+    x, y is the distance of a pixel from the centre of its block, px; out is (9, ny, nx)."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -180,8 +177,7 @@ def _bend(s: Array, x: int) -> np.float32:
 
 @inlined
 def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None:
-    """Add one row of pixels to `totals`, the eight sums of `strain_moments` for each column of pixels.
-    s, d, e are the row smoothed along y and its first and second derivative along y (`_spline_bends`)."""
+    """Add a row of pixels, smoothed along y (s) with derivatives d, e, to the eight `strain_moments`."""
     s0, s1, s2, s3, s4, s5, s6, s7 = totals  # loops over slices that are made here do not vectorise
     for x in range(len(s0)):
         p, q, a = _slope(s, x), _value(d, x), _value(s, x)
@@ -198,9 +194,8 @@ def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None
 
 @njit
 def strain_moments(image: Array, work: WorkSpace, out: Array) -> None:
-    """Write eight sums over each block of an image a to out (8, ny, nx), for `subtract_strain`.
-    In order, these are the sums of gx a, gy a, then gx times a_xx, a_xy, a_yy, then gy times a_xx, a_xy,
-    a_yy. gx, gy are the gradients. `image` includes its border; `work` is scratch."""
+    """Write sums over each block of gx a, gy a, gx a_xx, gx a_xy, gx a_yy, gy a_xx, gy a_xy, gy a_yy.
+    gx, gy are the gradients of the image a; out is (8, ny, nx)."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -226,10 +221,9 @@ def _block_reader(
     along_x: types.Type,
     along_y: types.Type,
 ) -> tuple[Signature, Callable[..., ir.Value]]:
-    """Generate the LLVM code of `_read_block(image, start, stride, strip, to, width, along_x, along_y)`.
-    It samples BLOCK rows of LANES pixels of `image` at a fractional position, with TAPS weights along x and
-    then along y. It reads from element `start` of rows of length `stride`, and writes from element `to` of
-    rows of length `width`."""
+    """Generate the LLVM code of `_read_block`, which samples BLOCK rows of LANES pixels of `image`.
+    It reads from element `start` of rows of length `stride`, with TAPS weights along x, then y, and writes
+    from element `to` of rows of length `width`."""
 
     def build(
         context: BaseContext, builder: ir.IRBuilder, signature: Signature, arguments: Sequence[ir.Value]
@@ -319,8 +313,7 @@ def _spread_ramps(slopes: Array, out: Array) -> None:
 
 @njit
 def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> None:
-    """Sample an image at the displaced pixels of block row `by`, and write them to `work.strip`.
-    u, v (nx,) is the displacement of these blocks, px; `image` includes its border."""
+    """Sample an image at the pixels of block row `by`, displaced by u, v (nx,), px, into `work.strip`."""
     position, whole, taps, strip = work.position, work.whole, work.taps, work.strip
     nx = len(u)
     h, w = image.shape
@@ -339,8 +332,7 @@ def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> N
 
 @njit
 def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
-    """Add gx r to sums[0] and gy r to sums[1] for every pixel of a row; see `plain_sums` for r.
-    s, d are the row of the first image smoothed along y and its derivative; b is the sampled second image."""
+    """Add gx r to sums[0] and gy r to sums[1] for every pixel of a row (`plain_sums`)."""
     n = len(s) - 4
     s0, s1 = sums[0][:n], sums[1]
     for x in range(len(s0)):
@@ -351,10 +343,8 @@ def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
 
 @njit
 def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace, out: Array) -> None:
-    """Write the scores of the blocks, sums of gx r and gy r, to out (2, ny, nx).
-    gx, gy are the gradients of the first image a, and r = a - b(x + d) is its residual to the second image b.
-    The displacement d = (u, v), px, (ny, nx), is constant in a block. Both images (h + 2 PAD, w + 2 PAD)
-    include their border; `work` is scratch."""
+    """Write the scores of the blocks, sums of gx r and gy r with r = a - b(x + d), to out (2, ny, nx).
+    gx, gy are the gradients of the first image a; d = (u, v) (ny, nx), px, is constant in a block."""
     n = u.shape[1] * BLOCK
     s, d = work.rows[0][: n + 4], work.rows[1][: n + 4]
     for by in range(len(u)):
@@ -373,9 +363,8 @@ def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace,
 
 @njit
 def _spread_slopes(slopes: Array, by: int, rows: Array) -> None:
-    """Write the displacement gradients `slopes` (4, ny, nx) of block row `by` to pixels, in rows[5:9].
-    du/dx and dv/dx are multiplied by the pixel's distance x from the centre of its block. du/dy and dv/dy are
-    not: the caller multiplies them by y."""
+    """Write the gradients `slopes` (4, ny, nx) of block row `by` to pixels, in rows[5:9].
+    du/dx and dv/dx are multiplied by the distance x from the block's centre; the caller multiplies by y."""
     _spread_ramps(slopes[0, by], rows[5])
     _spread(slopes[1, by], rows[6])
     _spread_ramps(slopes[2, by], rows[7])
@@ -392,9 +381,8 @@ def _residual_row(
     r: Array,
     sums: tuple[Array, ...],
 ) -> None:
-    """Write the smoothed pixels a and residuals r of a row, and add their scores to `sums`.
-    `splines` are the row of the first image smoothed along y and its derivative; `slopes` are rows 5 to 8 of
-    `_spread_slopes`; b is the sampled second image. The row lies y px below the centre of its blocks."""
+    """Write the smoothed pixels a and residuals r of a row, y px below its blocks' centre; add its scores.
+    `splines` are s and d of `_spline_columns`; `slopes` are from `_spread_slopes`; b is the second image."""
     s, d = splines
     ux, uy, vx, vy = slopes
     s0, s1 = sums
@@ -409,10 +397,8 @@ def _residual_row(
 
 @njit
 def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
-    """Sum r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over BLOCK rows, for each of n columns of pixels.
-    a is the first image and r the residual, (BLOCK, n + 4), from one pixel left of the first column. ga, gb
-    are differences along x of the first image a and the second image a - r. `totals` are the seven
-    results."""
+    """Sum r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over BLOCK rows, for each column of pixels.
+    a and r are (BLOCK, n + 4); ga, gb are differences along x of the first image a and the second, a - r."""
     s5, s6, s7, s8, s9, s10, s11 = totals
     for x in range(len(s5)):
         rr = sa = aa = sr = ar = ab = mm = F(0)
@@ -440,11 +426,8 @@ def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
 def final_sums(
     first: Array, second: Array, u: Array, v: Array, slopes: Array, work: WorkSpace, out: Array
 ) -> None:
-    """Write sums over each block to out (12, ny, nx): scores, and moments for correlation and gradients.
-    out[0:2] are the scores, sums of gx r and gy r. out[5:] are sums of r r, a, a a, r, a r, ga gb and ((ga +
-    gb) / 2)^2. out[2:5] is left to the caller, for the Hessian. r = a - b(x + d) is the residual; the
-    displacement d is (u, v) at the block's centre and has the gradients `slopes` (4, ny, nx). ga and gb are
-    the differences along x of the first image a and of the displaced second image b."""
+    """Write the sums of each block to out (12, ny, nx): scores (0, 1), moments (5 on); 2 to 4 are left out.
+    The moments are those of `_strip_sums`. The displacement u, v has the gradients `slopes` (4, ny, nx)."""
     n = u.shape[1] * BLOCK
     rows, sums = work.rows, work.sums
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
@@ -472,9 +455,8 @@ def final_sums(
 
 @njit
 def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.int32, out: Array) -> None:
-    """Write to `out` where each pixel of a row would climb: the index of the brightest of 3 x 3 pixels.
-    `above`, `row` and `below` start one pixel left of the image. Indices count along the rows of an image of
-    `width` px; `first` is the index of the row's first pixel."""
+    """Write where each pixel of a row would climb: the index of the brightest of 3 x 3 pixels.
+    The rows start one pixel left of the image, of `width` px; `first` is the index of the first pixel."""
     for x in range(len(out)):
         at = np.int32(first + x)
         best, to = row[x + 1], at
@@ -492,9 +474,8 @@ def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.i
 
 @njit
 def bead_blocks(image: Array, out: Array) -> None:
-    """Write to out (h, w), for each pixel, the number of the block that contains the top of its bead.
-    The top is the brightest point, which steepest ascent from the pixel reaches. Blocks are numbered along
-    rows. `image` includes its border, all of whose pixels must be darker than the image."""
+    """Write to out (h, w) the number of the block that contains the top of each pixel's bead.
+    The border of `image` must be darker than the image."""
     h, w = out.shape
     for y in range(h):
         r = y + PAD
@@ -522,9 +503,7 @@ def bead_blocks(image: Array, out: Array) -> None:
 
 @njit
 def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> None:
-    """Write the Hessian of each block, sums of gx gx, gx gy, gy gy, to out (ny nx, 3).
-    A block sums over the pixels that `bead_blocks` assigned to it, in `block` (h, w). `image` includes its
-    border; `work` is scratch."""
+    """Write gx gx, gx gy, gy gy, summed over the pixels that `bead_blocks` assigned, to out (ny nx, 3)."""
     h, n = block.shape
     out[:] = F(0)
     gx, gy = work.rows[3], work.rows[4]
@@ -541,9 +520,7 @@ def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> No
 def _scores_of_pixels(
     splines: tuple[Array, ...], slopes: tuple[Array, ...], b: Array, y: np.float32, to: tuple[Array, ...]
 ) -> None:
-    """Write gx r and gy r of each pixel of a row to the two arrays `to`.
-    They are the residual r times the brightness gradient (gx, gy) of the first image. The other arguments are
-    as for `_residual_row`."""
+    """Write gx r and gy r of each pixel of a row to the two arrays `to` (arguments: `_residual_row`)."""
     s, d = splines
     ux, uy, vx, vy = slopes
     along, down = to
@@ -565,9 +542,7 @@ def bead_scores(
     work: WorkSpace,
     out: Array,
 ) -> None:
-    """Write the score of each block, sums of gx r and gy r, to out (ny nx, 2).
-    A block sums over the pixels that `bead_blocks` assigned to it, in `block` (h, w). `final_sums` describes
-    the residual r and the other arguments."""
+    """Write the scores (ny nx, 2) summed over the pixels that `bead_blocks` assigned (`final_sums`)."""
     n = u.shape[1] * BLOCK
     rows = work.rows
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
@@ -588,10 +563,8 @@ def bead_scores(
 
 @njit
 def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
-    """Write the sums of a b over each block to `out`, for b shifted by dy rows and by several columns.
-    out (ny, shifts, nx + 2 border) has one entry for each shift of `first`, `first` + 1, ... columns; its
-    edge values are repeated in the border. b (h + 2 margin, w + 2 margin) includes a margin, px, and a (h, w)
-    does not. `row` (nx BLOCK,) is scratch."""
+    """Write sums of a b over each block to out (ny, shifts, nx + 2 border), for b shifted by dy rows.
+    The shifts along x are `first`, `first` + 1, ...; b has a margin, px. Edge values fill the border."""
     ny, n, width = out.shape
     nx = len(row) // BLOCK
     border = (width - nx) // 2

@@ -42,11 +42,8 @@ SLOPE_RINGS = 6  # the exponent is fitted to the last significant rings, this ma
 
 
 def first_prior(fields: Sequence[Float], information: float, area: float = FOOTPRINT_VARIANCE) -> Prior:
-    """Return the prior with the mean spectrum of some fields (c, ny, nx), the same in all directions.
-    The fields come from sample frames, by matching with a window. They have no holes and no slopes at their
-    edges (`edge_field` was subtracted). Windows damp short waves, so the caller raises this spectrum before
-    refining it (`Prior.with_min_signal_to_noise`). `information` is the typical inverse variance of the value
-    of a block; `area` is the variance of the area that this value averages over, px^2."""
+    """Return the isotropic prior with the mean spectrum of windowed fields (c, ny, nx) from sample frames.
+    Holes and edge slopes (`edge_field`) are removed before. `information` is typical; `area` is in px^2."""
     binning = WavenumberRings(*wavenumbers(fields[0].shape[-2:]))
     power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
     return Prior.isotropic(binning.k, binning.mean(power).tolist(), information, area)
@@ -59,22 +56,16 @@ def refined_prior(
     information: float,
     noise_alone: Sequence[tuple[Float, float]] = (),
 ) -> Prior:
-    """Return a new prior, with the spectrum of the MAP fields that the old `prior` gave in sample frames.
+    """Return a prior with the spectrum of the MAP fields that the old `prior` gave in sample frames.
 
-    `waves` are the cosine coefficients D (c, my, mx) of these fields, for the modes of `modes`. `information`
-    A is the typical inverse variance of the value of a block, and F its footprint. For a mode with spectrum S
-    and noise N = 1 / (F^2 A), a MAP field has the gain G = S / (S + N) and the power G^2 (S + N). Sums over
-    the modes of a ring (a bin of wavenumber), or of one of its sectors of direction, therefore give
-    S = sum(|D|^2 - G^2 N) / sum G^2.
-
-    A ring is significant if its power stands out from the noise. In other rings, S is the upper limit of the
-    waves that may be there undetected. Beyond the last significant ring, S is a power law, at most this
-    limit. The distribution over directions is averaged over neighbouring rings, drawn towards a uniform one
-    where modes are few, and constant beyond the last significant ring.
-
-    Each item of `noise_alone` is a MAP field that contains only noise, as coefficients, with its information.
-    These fields show how the noise varies over the rings. The level of the noise comes from the neighbouring
-    rings with the smallest ratio of power to expected noise. Without information (0), `prior` is returned.
+    `waves` are the cosine coefficients D (c, my, mx) of these fields, `information` A the typical inverse
+    variance of a block, F its footprint. With a spectrum S and noise N = 1 / (F^2 A), a MAP field has the
+    gain G = S / (S + N) and the power G^2 (S + N), so S = sum(|D|^2 - G^2 N) / sum G^2 over the modes of a
+    ring or of one of its sectors. In rings that do not stand out from the noise, S is the upper limit of
+    undetected waves, and after the last ring that does, a power law. Directions are averaged over
+    neighbouring rings and drawn towards uniform where modes are few. `noise_alone` are MAP fields of noise
+    only, with their information: they give the shape of the noise; its level is that of the rings with the
+    lowest power.
     """
     if not information > 0:  # no block has information
         return prior
@@ -111,10 +102,8 @@ def _signals_and_noise(
     binning: WavenumberRings,
     noise_alone: Sequence[tuple[Float, float]],
 ) -> tuple[Float, Float, Float]:
-    """Return the power of waves in rings and in sectors, and the power of noise in rings.
-    The shapes are (c, rings), (c, sectors, rings) and (c, rings). All powers are divided by the squared gain
-    of the MAP field. `waves`, `information` and `noise_alone` are those of `refined_prior`; `spectrum` and
-    the footprint `foot` are (c, my, mx) and (my, mx)."""
+    """Return the power of waves in rings (c, rings) and sectors (c, sectors, rings), and of noise in rings.
+    All are divided by the squared gain of the MAP field. For the arguments see `refined_prior`."""
 
     def block_noise(of: float) -> Float:
         return np.asarray(1.0 / (np.square(foot, dtype=np.float64) * of))
@@ -137,9 +126,8 @@ def _signals_and_noise(
 def _over_gain(
     fields: Sequence[Float], spectrum: Float, noise: Float, mean: Callable[[Float], Float]
 ) -> tuple[Float, Float]:
-    """Return the power of MAP fields and of their noise, both divided by the mean squared gain.
-    `fields` are coefficients (c, my, mx); `noise` is the noise N of a mode. `mean` averages over the modes of
-    rings or sectors, and its result has their shape."""
+    """Return the power of MAP fields (c, my, mx) and of their noise, both divided by the mean squared gain.
+    `noise` is N of each mode, and `mean` averages over the modes of rings or sectors."""
     power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
     spectrum = np.broadcast_to(spectrum, power.shape)
     squared_gain = np.square(spectrum / (spectrum + noise))
@@ -150,9 +138,8 @@ def _over_gain(
 def _undetected_fraction(
     measured: Float, rings: Float, noise: Float, detected: NDArray[np.bool_], binning: WavenumberRings
 ) -> float:
-    """Return which fraction of its upper limit, 0 to 1, the power of rings without significant waves is.
-    It is the slope of a line through the points (upper limit / noise, measured power / noise) of these rings,
-    corrected for an error of the noise. All arrays are (c, rings); `rings` holds the upper limits."""
+    """Return the power of rings without significant waves over its upper limit `rings`, 0 to 1.
+    It is the slope of a line through (upper limit, measured power) / noise, all (c, rings)."""
     limit, found = rings / noise, measured / noise
     weight = binning.count * (~detected & (binning.middle < SHORTEST_IN_LIMITS))
     total = max(float(weight.sum()), 1e-30)
@@ -163,10 +150,8 @@ def _undetected_fraction(
 
 
 def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
-    """Return the power of each sector over the power of its ring, (c, sectors, rings).
-    `estimate` is the measured ratio. It is averaged over neighbouring rings, with `weight` (which is set to 0
-    beyond the last significant ring), and drawn towards 1 where modes are few. From ring number `last` of
-    each component on, it is constant."""
+    """Return the power of each sector over that of its ring, (c, sectors, rings); constant from `lasts` on.
+    The measured `estimate` is averaged over rings with `weight`, and drawn towards 1 where modes are few."""
     for one, last in zip(weight, lasts):
         one[:, last:] = 0.0
     total_weight = convolve1d(weight, RING_SMOOTHING, axis=-1, mode="constant")
@@ -184,9 +169,8 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
 def shrinkage(variance: float, noise: float, waves: float) -> float:
     """Return the fraction of a learned spectrum that is waves, 0 to 1; the rest is noise of long waves.
 
-    `variance` is the measured variance of the MAP fields; `noise` and `waves` are its predicted parts, from
-    the noise of the images and from the spectrum. The fraction is 1 if variance - noise is at least half of
-    `waves`, or at least three times `noise`. Below the smaller of these limits, it falls in proportion.
+    `variance` is that of the MAP fields, of which `noise` and `waves` are predicted. The fraction is 1 if
+    variance - noise is at least half of `waves` or three times `noise`; below, it falls in proportion.
 
     >>> shrinkage(4.0, 1.0, 3.0), round(shrinkage(1.0, 1.0, 3.0), 3)
     (1.0, 0.0)
@@ -197,9 +181,7 @@ def shrinkage(variance: float, noise: float, waves: float) -> float:
 
 
 def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
-    """Return the smallest mean of the ratio of power to noise over five neighbouring rings.
-    It belongs to rings without waves. `count` is the number of modes in each ring. With fewer than five
-    rings, it is 1."""
+    """Return the smallest mean ratio of power to noise in five neighbouring rings with `count` modes."""
     if ratio.size < NOISE_RINGS:
         return 1.0
     box = np.ones(NOISE_RINGS)
@@ -214,9 +196,8 @@ def _extrapolated(
     noise: float,
     upper_limit: Float | float = np.inf,
 ) -> tuple[float, ...]:
-    """Replace the spectrum `power` (rings,) after its first `last` rings by a power law.
-    The power law is fitted to the last of these rings, and kept below the upper limit. `k` are the
-    wavenumbers of the rings; `noise` sets a lower bound of the power."""
+    """Replace a spectrum (rings,) after its `last` ring by a power law through the rings before.
+    It is kept below the upper limit and above a fraction of `noise`; k are the rings' wavenumbers."""
     out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
     first = max(last - SLOPE_RINGS, 1)
     slope = SLOPE_RANGE[1]

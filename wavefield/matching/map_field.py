@@ -48,14 +48,12 @@ in_order = compiled(error_model="numpy")
 
 
 class Modes:
-    """The cosine modes of a MAP field (the most probable field) on a lattice, and the solver for it.
+    """The cosine modes of a MAP field (the most probable field) on a lattice (ny, nx), and the solver for it.
 
-    The lattice has `shape` (ny, nx) blocks. Modes beyond the last one with a signal-to-noise ratio above 0.02
-    are left out. Holes in the data tighten the solver's tolerance only in blocks where `requested` is True.
-
-    Attributes: `kx` (mx,) and `ky` (my, 1), the wavenumbers, rad per block; `foot` (my, mx), the gain F of
-    averaging over a block; `inverse` (1 or c, my, mx), the reciprocal 1/S of the spectrum; `freedom`, the
-    fraction of the variance of the scores that is left after the fit.
+    Modes beyond the last one with a signal-to-noise ratio above 0.02 are left out. Holes tighten the solver's
+    tolerance only where `requested` (ny, nx) is True. `kx` (mx,), `ky` (my, 1) are in rad per block; `foot`
+    is the gain F of averaging over a block, `inverse` is 1/S, and `freedom` the fraction of the variance of
+    scores that a fit leaves.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
@@ -105,26 +103,22 @@ class Modes:
         return self._cosines.field(waves)
 
     def block_mean(self, waves: Float) -> Float:
-        """Return what the blocks measure of a field: its averages over the area of a block, (c, ny, nx).
-        The field is given by its cosine coefficients `waves` (c, my, mx)."""
+        """Return the averages over blocks, (c, ny, nx), of a field with coefficients (c, my, mx)."""
         return self.field(self.foot * waves)
 
     def split(self, field: Float) -> tuple[Float, Float]:
-        """Split a field (c, ny, nx) without holes into a smooth part (c, ny, nx) and cosines of the rest.
-        The smooth part (`edge_field`) has the field's slopes at the edges, where cosines have no slope. It is
-        reduced if the slopes are noisy. The rest is returned as cosine coefficients (c, my, mx)."""
+        """Split a field (c, ny, nx) into a smooth part with its slopes at the edges, and cosines of the rest.
+        Cosines have no slope at the edges. The smooth part (`edge_field`) is reduced if slopes are noisy."""
         edges = self._kept * edge_field(field)
         return edges, self.waves(field - edges)
 
     def factor(self, information: Float) -> Factor:
-        """Return the factorised preconditioner for `solve`, common to all components of the field.
-        `information` (ny, nx) is the inverse variance of the value of each block."""
+        """Return the factorised preconditioner for `solve`, from the blocks' inverse variance (ny, nx)."""
         return self._preconditioner.factor(information)
 
     def tolerances(self, information: Float) -> tuple[float, float]:
-        """Return two tolerances for `solve`: for the first evaluation of the images, and for later ones.
-        They are smaller if `information` (ny, nx), the inverse variance of each block, has large holes: there
-        the field converges last."""
+        """Return the tolerances of `solve` for the first evaluation of the images and for later ones.
+        They are smaller if `information` (ny, nx) has large holes: there the field converges last."""
         hole = hole_mask(information, self.prior.information) & self._requested
         return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
 
@@ -137,13 +131,13 @@ class Modes:
         factor: Factor,
         block_mean: Float | None = None,
     ) -> Float:
-        """Solve (F A F + 1/S) f = F b by conjugate gradients; return the coefficients f (c, my, mx).
-        F is the footprint of a block, and S the spectrum. `information` is A, the inverse variance of every
-        block: (1, ny, nx) for one component, (3, ny, nx) with xx, xy, yy for two. `right` (c, ny, nx) is b =
-        A u + s / nu, with the matched field u minus its smooth part (`split`), the scores s and their noise
-        nu. `start` (c, my, mx) is a first guess of f. `block_mean` is its field averaged over blocks
-        (`block_mean`), computed if None. `factor` comes from the method `factor`. The solver stops if the rms
-        residual of the modes, in units of their uncertainty, is below `tolerance`."""
+        """Solve (F A F + 1/S) f = F b by conjugate gradients, from `start`; return f (c, my, mx).
+
+        `information` is A, (1, ny, nx), or (3, ny, nx) with xx, xy, yy for two components; `right` (c, ny,
+        nx) is b = A u + s / nu, with the matched field u minus its smooth part, the scores s and their noise
+        nu. `block_mean` is that of `start`, computed if None. Stops at an rms residual of `tolerance`
+        uncertainties.
+        """
         a, c = information, len(right)
         block_mean = self.block_mean(start) if block_mean is None else block_mean
         residual = self.foot * self.waves(right - _apply_information(a, block_mean)) - self.inverse * start
@@ -171,8 +165,7 @@ class Modes:
 
 
 def _apply_information(a: Float, field: Float) -> Float:
-    """Multiply a field of one or two components, (c, ny, nx), by the information A of each block.
-    `a` is (1, ny, nx) for one component, (3, ny, nx) with xx, xy, yy of a symmetric matrix for two."""
+    """Multiply a field (c, ny, nx) by A, (1, ny, nx), or (3, ny, nx) with xx, xy, yy for two components."""
     if len(field) == 1:
         return a * field
     u, v = field
@@ -181,8 +174,7 @@ def _apply_information(a: Float, field: Float) -> Float:
 
 @reassociating
 def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
-    """Replace A F p in `image` by (F A F + 1/S) p, in place; return its inner product with p.
-    `foot` is F, `inverse` is 1/S, and `direction` is p."""
+    """Replace A F p in `image` by (F A F + 1/S) p, in place; return its inner product with p, `direction`."""
     total = F(0)
     for i in range(len(image)):
         value = foot[i] * image[i] + inverse[i] * direction[i]
@@ -207,8 +199,7 @@ def _update_direction(ratio: F, step: Float, direction: Float) -> None:
 
 
 def _freedom(gain: Float) -> float:
-    """Return the fraction of the variance of cluster scores that a fit leaves over, at least 0.2.
-    A cluster is 5 x 5 blocks; `gain` (ny, nx) is the amplitude gain of the fit for each cosine mode."""
+    """Return the fraction of the variance of 5 x 5 clusters' scores that a fit leaves, at least 0.2."""
     rows, columns = (_box(n) for n in gain.shape)
     power = np.square(rows[:, None] * columns)
     return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
@@ -240,11 +231,6 @@ def cosines(n: int, count: int) -> NDArray[np.float64]:
 class Cosines:
     """Transforms between a field on a lattice (ny, nx) and the coefficients of its first cosines (my, mx).
 
-    Inside, a field is split into parts that are even or odd about the middle of the lattice, along y and x. A
-    quarter of the lattice determines each part.
-
-    Examples
-    --------
     >>> waves = np.zeros((1, 4, 6), np.float32)
     >>> waves[0, 1, 2] = 1.0
     >>> transforms = Cosines((7, 10), (4, 6))
@@ -277,8 +263,7 @@ class Cosines:
         return out
 
     def split_parities(self, waves: Float) -> Float:
-        """Sort cosine coefficients (c, my, mx) into even and odd modes: (2, my / 2, 2, c, mx / 2).
-        The first axis is the parity along y, the third the parity along x: 0 for even, 1 for odd modes."""
+        """Sort coefficients (c, my, mx) by even and odd modes along y and x: (2, my / 2, 2, c, mx / 2)."""
         c, (my, mx) = len(waves), self.shape
         parts = waves.reshape(c, my // 2, 2, mx // 2, 2).transpose(2, 1, 4, 0, 3)
         return np.ascontiguousarray(parts, F)
@@ -289,18 +274,14 @@ class Cosines:
         return np.ascontiguousarray(by_parity.transpose(3, 1, 0, 4, 2)).reshape(c, *self.shape)
 
     def quarters(self, field: Float) -> Float:
-        """Return the even and odd parts of a field (c, ny, nx), each on a quarter of the lattice.
-        The result is (2, hy, 2, c, hx), with hy and hx half of ny and nx, rounded up. The first axis is the
-        parity along y, the third the parity along x: 0 for even, 1 for odd."""
+        """Return the even and odd parts of a field (c, ny, nx) on a quarter lattice: (2, hy, 2, c, hx)."""
         hy, hx = self._half
         out = np.empty((2, hy, 2, len(field), hx), F)
         _fold(np.ascontiguousarray(field, F), out)
         return out
 
     def mirrored(self, field: Float) -> Float:
-        """Return a field (c, ny, nx) as its four quarters, each mirrored onto the first: (2, 2, c, hy, hx).
-        hy and hx are half of ny and nx, rounded up. The middle row or column of an odd number is counted
-        once; its mirror image is 0."""
+        """Return a field (c, ny, nx) as four quarters, each mirrored onto the first: (2, 2, c, hy, hx)."""
         (ny, nx), (hy, hx) = self.lattice, self._half
         # the middle of an odd number of blocks is its own mirror image and is counted once
         out = np.zeros((2, 2, len(field), hy, hx), F)
@@ -379,9 +360,7 @@ def _unfold(quarters: Float, out: Float) -> None:
 @reassociating
 def multiply(a: Float, quarters: Float) -> None:
     """Multiply a field by the information A at every block, in place.
-    `quarters` (2, hy, 2, c, hx) holds the field's even and odd parts, as in `Cosines.quarters`, with one or
-    two components. `a` holds A as in `Cosines.mirrored`: (2, 2, 1, hy, hx) for one component, (2, 2, 3, hy,
-    hx) with xx, xy, yy of a symmetric matrix for two."""
+    `quarters` (2, hy, 2, c, hx) are the field's parts, and `a` is A as in `Cosines.mirrored`, xx, xy, yy."""
     _, hy, _, c, _ = quarters.shape
     for j in range(hy):
         top, bottom = quarters[0, j], quarters[1, j]
@@ -393,18 +372,14 @@ def multiply(a: Float, quarters: Float) -> None:
 
 @reassociating
 def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
-    """Return the values of a field at four mirrored places, from its parts at one of them.
-    The part `eo` is even along y and odd along x, and so on. The values belong to (y, x), (y, -x), (-y, x)
-    and (-y, -x)."""
+    """Return a field at (y, x), (y, -x), (-y, x), (-y, -x), from its parts (`eo`: even along y, odd in x)."""
     p, q, r, s = ee + oe, eo + oo, ee - oe, eo - oo
     return p + q, p - q, r + s, r - s
 
 
 @reassociating
 def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
-    """Multiply one row of a one-component field, given by its even and odd parts, by A, in place.
-    a0 to a3 are A at the four mirrored places (see `_four_places`); `top` holds the parts that are even along
-    y, `bottom` the odd ones."""
+    """Multiply a row of a field, given by its parts, by A at its four mirrored places, a0 to a3, in place."""
     ee, eo, oe, oo = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     for i in range(len(a0)):
         f0, f1, f2, f3 = _four_places(ee[i], eo[i], oe[i], oo[i])
@@ -448,18 +423,7 @@ def _multiply_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom
 
 
 def edge_field(field: Float) -> Float:
-    """Return a smooth field that has the same slopes at the edges as the given field.
-
-    Parameters
-    ----------
-    field : ndarray, (c, ny, nx)
-        Fields without holes.
-
-    Returns
-    -------
-    ndarray of float32, (c, ny, nx)
-        Exponentials that decay from each edge, along x and then along y.
-    """
+    """Return exponentials (c, ny, nx) that have the slopes of `field`, without holes, at the four edges."""
     field = np.asarray(field, np.float32)
     out = _with_slopes_along_x(field)
     rest = np.ascontiguousarray(np.swapaxes(field - out, 1, 2))
@@ -468,8 +432,7 @@ def edge_field(field: Float) -> Float:
 
 
 def _with_slopes_along_x(field: Float) -> Float:
-    """Return a field (c, ny, nx) that has the slopes of `field` along x at its first and last column.
-    The slopes are smoothed along y; the result decays exponentially away from both columns."""
+    """Return a field (c, ny, nx) that has the slopes of `field`, smoothed along y, at both ends of x."""
     fit, profile, smoother = _tables(*field.shape[1:])
     first, last = field[..., :EDGE_REACH] @ fit @ smoother, field[..., -EDGE_REACH:] @ fit @ smoother
     return np.asarray(last[..., None] * profile - first[..., None] * profile[::-1])
@@ -477,9 +440,7 @@ def _with_slopes_along_x(field: Float) -> Float:
 
 @lru_cache(maxsize=16)
 def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
-    """Return three tables for `_with_slopes_along_x`.
-    They are weights (6,) that fit a slope to six blocks, an exponential profile (nx,) with unit slope at its
-    end, and a matrix (ny, ny) that smooths along y."""
+    """Return weights (6,) of a slope, an exponential (nx,) with unit end slope, and a smoother (ny, ny)."""
     t = np.arange(EDGE_REACH, dtype=np.float32) - np.float32((EDGE_REACH - 1) / 2)
     profile = EDGE_REACH * np.exp((np.arange(nx) + 0.5 - nx) / EDGE_REACH)
     modes = cosines(ny, ny)
@@ -490,8 +451,7 @@ def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
 
 class Preconditioner:
     """Preconditioner of `Modes.solve`: exact for the 300 strongest modes, diagonal for the others.
-    `ratio` (my, mx) is the signal-to-noise ratio of the modes, `inverse` the reciprocal of their spectrum,
-    and `foot` the gain of averaging over a block."""
+    `ratio` (my, mx) is signal over noise, `inverse` 1/S, and `foot` the gain of averaging over a block."""
 
     def __init__(self, lattice: tuple[int, int], ratio: Float, inverse: Float, foot: Float) -> None:
         count = min(EXACT_MODES, ratio.size)
@@ -513,9 +473,7 @@ class Preconditioner:
         self._positions = {c: (line * c + np.arange(c)[:, None]) * half + self._ix // 2 for c in (1, 2)}
 
     def factor(self, information: Float) -> Factor:
-        """Return the Cholesky factor (modes, modes) and scaling (modes,) of the strongest modes' matrix.
-        `information` (ny, nx) is the inverse variance of each block. If rounding makes the matrix indefinite,
-        the factor is the unit matrix."""
+        """Return Cholesky factor and scaling of the strongest modes, from the blocks' information."""
         table = self._sum_rows @ information @ self._sum_columns
         scale = 1.0 / np.sqrt(self._own_inverse + self._square * F(information.mean()))
         count = self._norm.size
@@ -528,8 +486,7 @@ class Preconditioner:
 
     def apply(self, residual: Float, diagonal: Float, factor: Factor, out: Float) -> float:
         """Write the preconditioned residual to `out`; return its inner product with the residual.
-        `residual`, `diagonal` and `out` are sorted by parity (`Cosines.split_parities`). `diagonal`
-        multiplies the weaker modes; `factor` comes from the method `factor`."""
+        Arrays are sorted by parity; `diagonal` multiplies the weaker modes, `factor` solves for the rest."""
         lower, scale = factor
         positions = self._positions[residual.shape[3]]
         gathered = np.empty(positions.shape, F)
@@ -542,8 +499,7 @@ class Preconditioner:
 
 @reassociating
 def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None:
-    """Write the residual of the strongest modes, times `scale` (modes,), to out (c, modes).
-    `positions` (c, modes) are the indices of these modes in the flat `residual`."""
+    """Write the residual at the strongest modes' `positions` (c, modes), times `scale`, to out (c, modes)."""
     for n in range(len(positions)):
         for k in range(len(scale)):
             out[n, k] = residual[positions[n, k]] * scale[k]
@@ -553,9 +509,7 @@ def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None
 def _preconditioned(
     diagonal: Float, residual: Float, exact: Float, positions: Float, scale: Float, out: Float
 ) -> F:
-    """Write the preconditioned residual to `out`; return its inner product with the residual.
-    It is `diagonal` times `residual`, except for the strongest modes at `positions` (c, modes): there it is
-    `exact` (c, modes) times `scale` (modes,)."""
+    """Write diagonal * residual, but exact * scale at `positions` (c, modes); return out . residual."""
     for i in range(len(out)):
         out[i] = diagonal[i] * residual[i]
     for n in range(len(positions)):
@@ -569,10 +523,8 @@ def _preconditioned(
 
 @in_order
 def _assemble(table: Float, iy: Float, ix: Float, norm: Float, own: Float, out: Float) -> None:
-    """Write the lower triangle of the scaled matrix F A F + 1/S of the strongest modes to `out`.
-    iy and ix are the indices of these modes. `table` holds sums of A times cosines, from which all elements
-    follow, because a product of two cosines is a sum of two cosines. `norm` and `own` are the scaled factors
-    of these sums, and the scaled 1/S."""
+    """Write the lower triangle of the scaled matrix F A F + 1/S of the strongest modes (iy, ix) to `out`.
+    `table` has sums of A times cosines, which suffice: a product of cosines is a sum of cosines."""
     for p in range(iy.size):
         for q in range(p + 1):
             y0, y1 = abs(iy[p] - iy[q]), iy[p] + iy[q]

@@ -26,13 +26,13 @@ MIN_WAVE_FRACTION = 1e-3  # lower bound of the fraction that is waves, which kee
 
 
 class PosteriorVariance:
-    """Variance of the MAP field on a lattice (ny, nx), in two parts: from noise, and from suppressed waves.
-    The second part is the variance of the waves that the prior suppresses. Let A be the information (inverse
-    variance) of a block, F its footprint and S the spectrum. If A is uniform, a mode has the posterior
-    variance 1 / (F^2 A + 1/S): F^2 A / (F^2 A + 1/S)^2 is from noise, and 1/S / (F^2 A + 1/S)^2, times the
-    expected fraction of waves in S, from suppressed waves. If A varies, each block gets the variances for the
-    mean of A around it, weighted by the squared impulse response of the estimate. Inside holes, the second
-    part is at least that of a field which is known only at the rim (`hole_variance`)."""
+    """Variance of the MAP field on a lattice (ny, nx): from noise, and from waves that the prior suppresses.
+
+    With uniform information A, footprint F and spectrum S, a mode has F^2 A / (F^2 A + 1/S)^2 from noise, and
+    1/S / (F^2 A + 1/S)^2, times the fraction of waves in S, from suppressed waves. Else each block gets the
+    variances for the mean of A around it, weighted by the squared impulse response. Inside holes, the second
+    part is at least `hole_variance`.
+    """
 
     def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
         kx, ky = wavenumbers(shape)
@@ -65,9 +65,7 @@ class PosteriorVariance:
         return [hole_variance(one) for one in self._spectrum]
 
     def __call__(self, information: Float) -> tuple[Float, Float]:
-        """Return the variances of noise and of missing waves, each (c, ny, nx), in the field's unit squared.
-        `information` (ny, nx) is the inverse variance of the value of each block; c is the number of
-        spectra."""
+        """Return the variances of noise and of missing waves, (c, ny, nx), from the information of blocks."""
         waves = self._forward[0] @ (information @ self._forward[1])
         x = self._inverse[0] @ ((self._kernels * waves) @ self._inverse[1])
         log_variances = np.empty((len(self._variance), *x.shape[1:]), np.float32)
@@ -97,10 +95,8 @@ class PosteriorVariance:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
-    """Write n variances to out (n, ny, nx), interpolated in a table to the local mean of the information.
-    Each level of the table has its own kernel for this mean, and x (levels, ny, nx) holds the means. The
-    level that equals its own mean counts. `log` (levels,) and `variance` (n, levels) are logarithms of the
-    levels and of the tabulated variances, from the highest information to the lowest."""
+    """Write n variances to out (n, ny, nx), read from a table at the level that equals its own local mean.
+    x (levels, ny, nx) are the means of A with each level's kernel; `log` and `variance` are logarithms."""
     for j in range(x.shape[1]):
         for i in range(x.shape[2]):
             previous = np.log(max(x[0, j, i], F(1e-30))) - log[0]
@@ -116,16 +112,13 @@ def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
 
 
 def _impulse(gain: Float) -> Float:
-    """Return the impulse response (ny + 1, nx + 1) of the filter with these gains of cosines (ny, nx).
-    It is even along both axes, so only one quarter is returned. The gain at the Nyquist wavenumber is taken
-    as 0."""
+    """Return one quarter (ny + 1, nx + 1) of the even impulse response of a filter with these gains."""
     out: Float = scipy.fft.dctn(np.pad(gain, (0, 1)), type=1) / (4 * gain.size)
     return out
 
 
 def _squared_response(gain: Float) -> Float:
-    """Return the gains of cosines of the squared impulse response of a filter, (ny, nx).
-    `gain` (ny, nx) is the filter's own gain. The result is normalised to 1 at wavenumber zero."""
+    """Return the gains (ny, nx) of the squared impulse response of a filter, 1 at wavenumber zero."""
     out: Float = scipy.fft.dctn(_impulse(gain) ** 2, type=1)[:-1, :-1]
     out /= out[0, 0]
     return out
@@ -133,10 +126,7 @@ def _squared_response(gain: Float) -> Float:
 
 def hole_variance(spectrum: Float) -> Float:
     """Return the variance of a field inside a hole without data, at 0, 1, 2, ... blocks from the rim.
-    The field has this spectrum (ny, nx), and its value and slope are taken as known at the rim. At the
-    distance r the remaining variance is C(0) - C(r)^2 / C(0) - C'(r)^2 / |C''(0)|, with the covariance
-    function C of the field; it never decreases with r. The result is (n,), with n the smaller of ny and
-    nx."""
+    Value and slope are known at the rim: C(0) - C(r)^2 / C(0) - C'(r)^2 / |C''(0)| with the covariance C."""
     covariance = _impulse(spectrum)
     side = min(spectrum.shape)
     curve = 0.5 * (covariance[0, :side] + covariance[:side, 0])

@@ -30,13 +30,10 @@ def noise_of_scores(
 ) -> Float:
     """Return the noise nu of the scores of blocks, (ny, nx): their variance per unit of their Hessian.
 
-    `score` (c, ny, nx) holds the scores and `trace` (ny, nx) the trace of their Hessian. `counts` (ny, nx) is
-    1 for usable blocks, else 0. nu is the squared score of clusters of 5 x 5 usable blocks over their trace,
-    both smoothed over 6 blocks, over `freedom`, the fraction of the variance that a fit leaves
-    (`Modes.freedom`).
-
-    Where the trace is small, nu approaches the typical noise of the image. This is the mean, or the median if
-    `with_mismatches` is True. Set it if parts of the images may not match, as where beads leave the image.
+    `score` is (c, ny, nx), `trace` (ny, nx) that of the Hessian, `counts` 1 for usable blocks. nu is the
+    squared score of clusters of 5 x 5 blocks over their trace, smoothed over 6 blocks, over the fraction
+    `freedom` that a fit leaves. Where the trace is small, nu approaches the image's mean, or median if
+    `with_mismatches`.
     """
     complete = (_clusters(counts) > CLUSTER**2 - 0.5).astype(np.float32)
     square = np.zeros_like(trace)
@@ -58,10 +55,8 @@ def noise_of_scores(
 
 
 def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
-    """Return a weight of each block, (ny, nx), 0 to 1: below 1 where scores are far above the noise.
-    Such scores occur at edges of objects and where beads enter or leave the image. They are taken over
-    clusters of 5 x 5 blocks and compared with those of clusters around. For the arguments see
-    `noise_of_scores`."""
+    """Return a weight of each block, (ny, nx), below 1 where scores are far above the noise around.
+    That is at edges of objects and where beads enter or leave. Arguments: see `noise_of_scores`."""
     square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
     information = _clusters(trace * counts)
     least = F(HOLE_INFORMATION) * information.mean()
@@ -78,9 +73,7 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
-    """Return a mask (ny, nx), True for blocks in a hole, that is, in an area with little information.
-    `information` (ny, nx) is the inverse variance of the value of each block. In a hole, its mean over 7 x 7
-    blocks is at most 0.15 times the typical information."""
+    """Return a mask (ny, nx) of blocks around which 7 x 7 have < 0.15 times the typical inverse variance."""
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )

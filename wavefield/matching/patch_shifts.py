@@ -97,10 +97,8 @@ def _found(
 
 
 def locate(patch: Float, around: Float) -> tuple[float, float, float]:
-    """Return the column and row, px, at which a patch fits best into an image, and the correlation.
-    The position is where the patch's first pixel lies in the image `around`. A parabola along each axis,
-    through the largest correlation and its neighbours, refines it. It is NaN if the largest correlation lies
-    at the border."""
+    """Return the column and row, px, where a patch fits best into an image, and the correlation there.
+    The position is NaN if the largest correlation lies at the border of the image `around`."""
     correlations = _correlations(patch, around)
     _, best, _, (column, row) = cv2.minMaxLoc(correlations)
     if not (0 < row < correlations.shape[0] - 1 and 0 < column < correlations.shape[1] - 1):
@@ -111,9 +109,7 @@ def locate(patch: Float, around: Float) -> tuple[float, float, float]:
 
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return those of the patches' displacements (n, 2), px, that another patch confirms, (m, 2).
-    Two displacements confirm each other if they differ by less than 8 px plus a quarter of their length.
-    Displacements that are NaN are dropped."""
+    """Return those of the displacements (n, 2), px, that differ by < 8 px + 25 % from another patch's."""
     moved = moved[np.isfinite(moved[:, 0])]
     apart = np.hypot(*(moved[:, None] - moved).T) - AGREEMENT_PX - 0.25 * np.hypot(*moved.T)
     out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]

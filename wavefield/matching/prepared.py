@@ -79,9 +79,7 @@ class Level:
 
     @cached_property
     def beads(self) -> tuple[np.ndarray, np.ndarray]:
-        """Assignment of whole beads to blocks, (h, w), and the Hessians of the blocks, (3, ny, nx).
-        The first array holds, for each pixel, the number of the block that contains the top of its bead. The
-        second holds sums of gx gx, gx gy, gy gy over the pixels assigned to a block."""
+        """Block with the top of each pixel's bead, (h, w), and the Hessians of such blocks, (3, ny, nx)."""
         ny, nx = self.blocks
         h, w = ny * BLOCK, nx * BLOCK
         smooth = cv2.GaussianBlur(self.padded, (0, 0), BEAD_SMOOTHING)
@@ -197,8 +195,7 @@ def prepare(
 
 
 def level_count(shape: tuple[int, ...], levels: int) -> int:
-    """Return the number of pyramid levels for an image of this shape, 1 to `levels`.
-    The coarsest level must be at least 40 px wide and high, so small images have fewer levels."""
+    """Return the number of levels, at most `levels`; the coarsest is at least 40 px wide and high."""
     side = min(shape)
     while levels > 1 and side >> (levels - 1) < MIN_LEVEL_SIDE:
         levels -= 1
@@ -208,9 +205,8 @@ def level_count(shape: tuple[int, ...], levels: int) -> int:
 def _normalize(
     image: np.ndarray, mask: Mask | None, settings: MatchSettings, padded: np.ndarray
 ) -> Mask | None:
-    """Write the normalised image to `padded`, inside its border; return the mask for it.
-    The returned mask also excludes saturated pixels and those that are not finite. It is None if all pixels
-    are usable."""
+    """Write the normalised image inside the border of `padded`; return the mask, None if all are usable.
+    The mask also excludes saturated pixels and those that are not finite."""
     width = settings.normalization
     cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
@@ -229,9 +225,7 @@ def _excluding(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> M
 
 
 def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
-    """Return a mask (h, w) of saturated pixels: uniform patches of 5 x 5 px at the largest value.
-    It is None without such patches. `largest` is the largest value, and `columns` are the indices of the
-    columns in which it occurs."""
+    """Return a mask (h, w) of uniform patches of 5 x 5 px at the largest value, in `columns`, or None."""
     # every patch contains one pixel of a grid whose step is the side of the smallest patch
     columns = columns[columns % SATURATED_SIDE == SATURATED_SIDE - 1]
     if largest <= 0 or not (image[SATURATED_SIDE - 1 :: SATURATED_SIDE, columns] == largest).any():
@@ -247,8 +241,7 @@ def _padded(h: int, w: int) -> np.ndarray:
 
 
 def _usable_blocks(good: np.ndarray, level: int) -> np.ndarray:
-    """Return a mask (h, w), 1 where all pixels of the block around a pixel are usable, else 0.
-    On level 0, the finest, the two pixels around the block that the spline reads must be usable as well."""
+    """Return 1 where the block around a pixel is usable (on level 0 also two pixels around it), else 0."""
     side = BLOCK + 4 if level == 0 else BLOCK
     return cv2.erode(good, np.ones((side, side), np.uint8), borderType=cv2.BORDER_REPLICATE)
 
@@ -267,8 +260,7 @@ def _replicate_border(padded: np.ndarray) -> None:
 
 @njit
 def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
-    """Write to `out` the sums of `side` neighbours each, among the first `count` elements of `row`.
-    The last sum includes the elements that remain."""
+    """Write the sums of `side` neighbours among the first `count` of a row; the last includes the rest."""
     n = len(out)
     if side == 8:  # the usual side, in a form that vectorises
         for i in range(n):
@@ -308,9 +300,8 @@ def _add_masked_row(
 
 @njit
 def _cell_sums(image: np.ndarray, usable: np.ndarray, side: int, rows: np.ndarray, out: np.ndarray) -> None:
-    """Write sums of pixels and of squared pixels over each cell of `side` x `side` px to out (2, ny, nx).
-    Pixels where `usable` (h, w) is 0 do not count; it is empty if all count. `rows` (3, >= w) is scratch,
-    except that the caller reads the largest pixel of each column from rows[2]."""
+    """Write sums of pixels and of squared pixels over cells of `side` x `side` px to out (2, ny, nx).
+    rows[2] receives the largest pixel of each column."""
     h, w = image.shape
     ny = out.shape[1]
     s, t, top = rows[0], rows[1], rows[2]
@@ -337,8 +328,7 @@ def _normalize_row(
     t: np.float32,
     out: np.ndarray,
 ) -> None:
-    """Write (row - mean) * scale to `out`, with mean and scale interpolated between two rows of cells.
-    They lie a fraction t of the way from mean m0 and scale s0 to mean m1 and scale s1."""
+    """Write (row - mean) * scale, interpolated a fraction t of the way from m0, s0 to m1, s1."""
     for x in range(len(row)):
         mean = m0[x] + t * (m1[x] - m0[x])
         scale = s0[x] + t * (s1[x] - s0[x])
@@ -356,8 +346,7 @@ def _clear_row(usable: np.ndarray, out: np.ndarray) -> None:
 def _normalize_image(
     image: np.ndarray, usable: np.ndarray, mean: np.ndarray, scale: np.ndarray, side: int, out: np.ndarray
 ) -> None:
-    """Write the normalised image inside the border of `out`; pixels that are not `usable` become 0.
-    `mean` and `scale` (ny, w) belong to rows of cells of `side` px, and are interpolated between the rows."""
+    """Write the normalised image inside the border of `out`; pixels that are not `usable` become 0."""
     ny, (h, w) = len(mean), image.shape
     border = (len(out) - h) // 2
     for y in range(h):
@@ -371,15 +360,8 @@ def _normalize_image(
 
 
 class NormalizationCells:
-    """Local means of an image (h, w) from sums over small square cells, for local normalisation.
-
-    `width` is the standard deviation of the Gaussian window of the means, px. `usable` (h, w) is 1 for pixels
-    that count, else 0; by default all count.
-
-    Attributes: `side` of a cell, px; `sums` (2, ny, nx) of pixels and of squared pixels; `largest`, the
-    largest pixel; `brightest`, the indices of the columns with this value; `finite`, whether all pixels are
-    finite.
-    """
+    """Local means of an image (h, w) from sums over small square cells, with a Gaussian window of `width` px.
+    `largest` is the largest pixel, `brightest` are the columns with it; `finite` if all pixels are."""
 
     def __init__(self, image: np.ndarray, width: float, usable: np.ndarray | None = None) -> None:
         self.image, self.width = np.ascontiguousarray(image), max(width, 1.0)
@@ -403,8 +385,7 @@ class NormalizationCells:
         return out
 
     def normalized(self, share: np.ndarray | None, out: np.ndarray) -> None:
-        """Write the normalised image inside the border of `out`; pixels that are not usable become 0.
-        `share` (ny, nx) is the usable fraction around each cell, or None without a mask."""
+        """Write the normalised image inside the border of `out`; `share` is the usable fraction by cell."""
         mean, square = self.local(0), self.local(1)
         if share is not None:
             mean /= share
@@ -431,9 +412,7 @@ class NormalizationCells:
 
 
 def usable_share(usable: np.ndarray, width: float) -> np.ndarray:
-    """Return the fraction of usable pixels around each cell, (ny, nx) float32, at least 0.001.
-    `usable` (h, w) is 1 for usable pixels, else 0; `width` is the standard deviation of the Gaussian window,
-    px."""
+    """Return the usable fraction around each cell, (ny, nx), at least 0.001, for a window of `width` px."""
     out: np.ndarray = np.maximum(NormalizationCells(usable, width).local(0), MIN_USABLE_SHARE)
     return out
 

@@ -146,9 +146,7 @@ def _prepared(image: np.ndarray | PreparedImage, settings: MatchSettings) -> Pre
 
 
 def _start(a: Level, b: Level, levels: int, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Return the initial displacement u, v (ny, nx) on the coarsest level, px of that level.
-    It comes from a search over whole pixels, or is zero if the settings give no search range. `levels` is the
-    number of finer levels."""
+    """Return the displacement (ny, nx) to start from on the coarsest level: from a search, or zero."""
     if settings.search_x is None or settings.search_y is None:
         return np.zeros(a.blocks, np.float32), np.zeros(a.blocks, np.float32)
     factor = 2**levels
@@ -173,9 +171,7 @@ class _LevelPair:
         self._hessian: np.ndarray | None = None
 
     def update_weights(self, u: np.ndarray, v: np.ndarray) -> None:
-        """Update the attributes that depend on the displacement u, v (ny, nx), px, if usable blocks change.
-        They are `count`, 1 for usable blocks, else 0; `coverage`, the usable fraction of each window; and
-        `weighting` of the smoother. The stored Hessian is dropped."""
+        """Update the block weights for a displacement u, v (ny, nx), px, and drop the stored Hessian."""
         count = np.empty(u.shape, np.float32)
         block_weights(self.a.good, self.b.good, u, v, *self.b.shape, count)
         if np.array_equal(count, self.count):
@@ -202,9 +198,8 @@ class _LevelPair:
     def advance(
         self, u: np.ndarray, v: np.ndarray, hessian: np.ndarray, score: np.ndarray, number: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Take one Gauss-Newton step, replace outliers and smooth; return u, v and the mask of outliers.
-        All three are new arrays (ny, nx). `hessian` (3, ny, nx) and `score` (2, ny, nx) are those of windows;
-        `number` is the index of the step on this level, from 0."""
+        """Take one Gauss-Newton step, replace outliers and smooth; return new u, v and the mask of outliers.
+        `hessian` and `score` are those of windows; `number` counts the steps of this level from 0."""
         settings = self.settings
         u, v = u.copy(), v.copy()
         ridge = F(RIDGE_FRACTION) * F(hessian[0].mean() + hessian[2].mean()) + F(1e-12)
@@ -223,8 +218,7 @@ def _slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 def _last_sums(
     a: Level, b: Level, u: np.ndarray, v: np.ndarray, slope: np.ndarray, work: WorkSpace
 ) -> np.ndarray:
-    """Return the sums of `final_sums`, (12, ny, nx), with the Hessian of image a in planes 2 to 4.
-    `slope` (4, ny, nx) holds the gradients of the displacement u, v (ny, nx), px; `work` is scratch."""
+    """Return the sums of `final_sums`, (12, ny, nx), with the Hessian of image a in planes 2 to 4."""
     sums = np.empty((12, *u.shape), np.float32)
     final_sums(a.padded, b.padded, u, v, slope, work, sums)
     sums[2:5] = a.moments[:3]
@@ -270,15 +264,11 @@ def reevaluate(
 ) -> Displacement:
     """Compute scores, Hessians and validity of the blocks again, at the displacement u, v (ny, nx), px.
 
-    No step is taken: the result has this u and v, which are float32. Its scores are corrected for strain. If
-    the displacement has gradients e_jk = du_j/dx_k, sampling b at the displacement strains the images of
-    beads, but real beads move without changing shape. The residual between the images of beads then contains
-    e_jj a + s^2 e_jk a_jk, with a_jk the second derivatives of image a and s^2 the variance of the image of
-    a bead. On a blurred texture, the residual contains only the second term.
-
-    Both terms are symmetric about the middle of a bead. A complete bead therefore adds nothing to the score,
-    but a bead that is cut by the edge of a block does. The function fits c e_jj a + s^2 e_jk a_jk to the
-    scores by least squares, with c between 0 and 1, and subtracts it.
+    A displacement with gradients e_jk = du_j/dx_k strains the sampled images of beads, while real beads keep
+    their shape. The residual of beads then contains e_jj a + s^2 e_jk a_jk, with second derivatives a_jk and
+    the variance s^2 of a bead's image (of a blurred texture, only the second term). A complete bead adds
+    nothing to the score, but a bead that is cut by the edge of a block does. Therefore c e_jj a + s^2 e_jk
+    a_jk, with 0 < c < 1, is fitted to the scores and subtracted.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
     pair.update_weights(u, v)
@@ -295,11 +285,9 @@ def reevaluate(
 def scores_at(
     found: Displacement, a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray
 ) -> Displacement:
-    """Return the match `found` of two cameras with new u, v (ny, nx), float32, px, scores and Hessians.
-    Two cameras see a bead unequally bright, so a block that contains a part of it would seem to move. Every
-    pixel therefore counts in the block that contains the brightest point of its bead. The validity of the
-    blocks stays that of `found`, unlike in `reevaluate`. Scores and Hessians are 0 for blocks that are masked
-    or outside image b at u, v, or next to such a block."""
+    """Return the match `found` of two cameras with new u, v, scores and Hessians; validity stays.
+    Two cameras see a bead unequally bright, so a block with a part of it would seem to move. Every pixel
+    therefore counts in the block with the top of its bead. Blocks next to unusable ones get 0."""
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     pair.update_weights(u, v)
     block, hessian = pair.a.beads
@@ -316,9 +304,7 @@ def scores_at(
 def _search(
     a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], settings: MatchSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Search the displacement u, v (ny, nx) of every block, px of this level, over whole-pixel shifts.
-    The ranges (smallest, largest) are inclusive. The shift with the largest correlation is refined by a
-    parabola along each axis. Outliers are then replaced and the result is smoothed."""
+    """Search the displacement (ny, nx), px, over whole-pixel shifts in inclusive ranges, with parabolas."""
     ny, nx = a.blocks
     w = nx * BLOCK
     margin = max(abs(n) for n in (*x_range, *y_range)) + 1
@@ -361,7 +347,7 @@ def _largest(correlation: np.ndarray, border: int, best: np.ndarray) -> None:
 
 def _peaks(correlation: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the shift u, v (ny, nx), px, of largest correlation of each block, refined by parabolas.
-    `correlation` is shaped as in `_largest`; its element 0 belongs to the shift first_x, first_y, px."""
+    `correlation` is (row shifts, ny, column shifts, nx + 2 border), from first_x, first_y on."""
     rows, ny, n, width = correlation.shape
     best = np.empty((ny, width - 2 * border), np.int32)
     _largest(correlation, border, best)
@@ -402,8 +388,7 @@ def _assess(
 
 
 def _correlation(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
-    """Return the normalised correlation and the common gradient energy of the windows, each (ny, nx).
-    The energy is the mean of ga gb, the product of the differences along x in both images."""
+    """Return the normalised correlation and the gradient energy ga gb of the windows, each (ny, nx)."""
     rr, sa, aa, sr, ar, ab = last.windowed[5:11]
     power = float(aa.mean() / F(BLOCK * BLOCK))
     least = F((1e-4 * power + 1e-12) ** 2)
@@ -417,9 +402,8 @@ def _correlation(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _own_scores(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
-    """Return score (2, ny, nx) and Hessian (3, ny, nx) of each single block, after the last step.
-    The score is extrapolated linearly over this step. The Hessian is that of image a, times the fraction of
-    its gradient energy that both images share."""
+    """Return score (2, ny, nx), extrapolated over the last step, and Hessian (3, ny, nx) of each block.
+    The Hessian is that of image a, times the fraction of its gradient energy that both images share."""
     # `sums` holds the Hessian of image a, noise included. `ratio` is the common gradient energy over that of
     # the mean image; the fraction of a's energy that both images share is ratio / (2 - ratio).
     shared, of_mean = last.windowed[10:12]
@@ -440,8 +424,7 @@ def _reasons(
     energy: np.ndarray,
     settings: MatchSettings,
 ) -> np.ndarray:
-    """Return why blocks are not valid: bits of `Reason` for each block, (ny, nx) uint8, 0 if it is valid.
-    `outlier` is a mask (ny, nx); `correlation` and `energy` (ny, nx) are those of `_correlation`."""
+    """Return the bits of `Reason` of the blocks, (ny, nx), from the results of `_correlation`."""
     inside, weight = np.empty((2, *u.shape), np.float32)
     block_weights(NO_MASK, NO_MASK, u, v, *b.shape, inside)
     if a.good.size or b.good.size:
@@ -469,7 +452,6 @@ def _reasons(
 
 
 def _sparse_median(field: np.ndarray, usable: np.ndarray) -> float:
-    """Return the median of `field` over every third usable block along both axes; 0 without any.
-    Windows overlap, so these blocks suffice. `usable` is a mask (ny, nx)."""
+    """Return the median over every third usable block (windows overlap); 0 without any."""
     every_third = field[::3, ::3][usable[::3, ::3]]
     return float(np.median(every_third)) if every_third.size else 0.0

@@ -90,8 +90,7 @@ class MatchSettings:
 
     @classmethod
     def stereo(cls, **changes: Any) -> MatchSettings:
-        """Return settings for frames of two cameras at one instant, with these changes.
-        They suit a large, smooth parallax and different lighting."""
+        """Return settings for two cameras at one instant (large, smooth parallax), with these changes."""
         return replace(
             cls(
                 iterations=(3, 3, 3, 3),

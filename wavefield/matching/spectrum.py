@@ -91,12 +91,6 @@ class Prior:
     ) -> Prior:
         """Return a prior with the same spectrum in all directions and for all components of a field.
 
-        `power` are the values of the spectrum at the wavenumbers k, rad per block. `information` is the
-        typical inverse variance of a block's value; `area` is the variance of the area that it averages over,
-        px^2.
-
-        Examples
-        --------
         >>> prior = Prior.isotropic((0.1, 1.0), (4.0, 4.0), 1.0)
         >>> prior.spectrum(np.array([0.3, 0.4]), np.array([[0.5]])).tolist()
         [[[4.0, 4.0]]]
@@ -108,10 +102,8 @@ class Prior:
         return footprint(kx, ky, self.area)
 
     def with_min_signal_to_noise(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
-        """Return the prior with its spectrum raised to at least this ratio of signal to noise.
-        Only wavenumbers below 2 rad per block are raised. A prior that is too small suppresses waves, and a
-        spectrum learned from the resulting fields would again be too small. Spectra are therefore learned
-        with a raised prior."""
+        """Return the prior with its spectrum raised to this ratio of signal to noise, below 2 rad per block.
+        A spectrum learned with a prior that is too small would again be too small."""
         k = np.array(self.k)
         least = ratio / (self.footprint(k, np.zeros(1)) ** 2 * self.information)
         table = np.maximum(self.power, np.where(k < SHORTEST_WAVENUMBER, least, 0.0))
@@ -119,8 +111,7 @@ class Prior:
         return replace(self, power=power)
 
     def spectrum(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Return the spectrum S of each component at wavenumbers kx, ky, rad per block.
-        kx and ky are broadcast; the component is the first axis of the result."""
+        """Return the spectrum S, (component, ...), at wavenumbers kx, ky, rad per block."""
         table = np.log(np.maximum(self.power, 1e-30))  # a field without motion has power 0
         directions = table.shape[1]
         at = np.interp(np.hypot(kx, ky), self.k, np.arange(len(self.k)))
@@ -137,29 +128,24 @@ class Prior:
         return np.asarray(np.exp(out))
 
     def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Return the fraction of `spectrum` that is expected to be waves, at wavenumbers kx, ky.
-        It is `wave_fraction`, times `undetected_fraction` where the spectrum is an upper limit. The component
-        is the first axis of the result; wavenumbers are in rad per block."""
+        """Return the fraction of `spectrum` that is expected to be waves, (component, ...).
+        It is `wave_fraction`, times `undetected_fraction` where the spectrum is an upper limit."""
         detected = np.array(self.detected or [[True] * len(self.k)])
         fraction = self.wave_fraction * np.where(detected, 1.0, self.undetected_fraction)
         return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in fraction])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Return the signal-to-noise ratio F^2 A S of each component, at wavenumbers kx, ky, rad per block.
-        F is the footprint, A the typical information and S the spectrum. The component is the first axis."""
+        """Return the ratio F^2 A S, (component, ...): footprint F, information A and spectrum S."""
         return np.asarray(self.footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
 
     def gain(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Return the amplitude gain of the MAP field for waves with wavenumbers kx, ky, rad per block.
-        It is R / (R + 1), with R the signal-to-noise ratio. The component is the first axis of the result."""
+        """Return the amplitude gain R / (R + 1) of the MAP field, R = `signal_to_noise`, (component, ...)."""
         ratio = self.signal_to_noise(kx, ky)
         return np.asarray(ratio / (ratio + 1.0))
 
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the expected variances of a MAP field on a lattice `shape` (ny, nx), from waves and noise.
-        Both have one number per component, (1 or c,). They are means over all cosine modes but the constant
-        one: of G^2 S for waves and of G^2 / (F^2 A) for noise. G is the gain, S the spectrum and F the
-        footprint; all blocks are taken to have the typical information A."""
+        """Return the variances (component,) of a MAP field on a lattice (ny, nx), from waves and from noise.
+        They are means over all modes but the constant one of G^2 S and G^2 / (F^2 A), with the gain G."""
         kx, ky = wavenumbers(shape)
         squared_gain = np.square(self.gain(kx, ky))
         squared_gain[:, 0, 0] = 0.0
@@ -194,10 +180,8 @@ def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np
 
 
 class WavenumberRings:
-    """Means over rings, which are bins of wavenumber, and over the six sectors of direction of each ring.
-    The modes have wavenumbers kx (mx,) and ky (my, 1), rad per block. Attributes: `middle` (rings,), the
-    wavenumber in the middle of each ring; `k`, the same as a tuple; `count` (rings,) and `sector_count`
-    (sectors, rings), the numbers of modes; `of_modes` (my, mx), the ring of each mode."""
+    """Means over rings (bins of wavenumber) and their six sectors of direction, of modes kx, ky (my, 1).
+    `middle` (rings,) is in rad per block; `count` (rings,), `sector_count` (sectors, rings) count modes."""
 
     def __init__(self, kx: Float, ky: Float) -> None:
         edges = np.linspace(0, np.pi, RINGS + 1)
@@ -225,10 +209,8 @@ class WavenumberRings:
         return np.asarray(total.reshape(-1, SECTORS, RINGS) / np.maximum(self.sector_count, 1))
 
     def significant(self, ratio: Float) -> NDArray[np.bool_]:
-        """Return a mask (rings,), True for rings whose power stands out from the noise.
-        `ratio` (rings,) is the power over the noise. A ring stands out if the ratio is above 0.3 in it and in
-        all rings before it. It also does if both its ratio and the mean with its two neighbours are above
-        1.5, at less than 2 rad per block. The first three rings are always True."""
+        """Return a mask (rings,) of rings whose `ratio` of power to noise stands out; the first three do.
+        It is above 0.3 in all rings up to there, or above 1.5, also averaged over three, at long waves."""
         occupied = self.count > 0
         last = self.count_until_false(occupied & (ratio > DETECTED_SIGNAL_TO_NOISE))
         total, count = (np.convolve(f, np.ones(3), mode="same") for f in (ratio * self.count, self.count))
@@ -237,8 +219,7 @@ class WavenumberRings:
         return np.asarray((np.arange(RINGS) < last) | beyond_gap)
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
-        """Return the ratio of power to noise, (rings,), averaged over five neighbouring rings.
-        The first four rings do not count, because they contain calibration errors."""
+        """Return the power over the noise, averaged over five rings; the first four have other errors."""
         count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")
@@ -254,8 +235,7 @@ class WavenumberRings:
 
 
 def footprint(kx: np.ndarray, ky: np.ndarray, variance: float = FOOTPRINT_VARIANCE) -> np.ndarray:
-    """Return the gain of averaging over a Gaussian area, at wavenumbers kx, ky, rad per block.
-    `variance` is the variance of this area along each axis, px^2."""
+    """Return the gain of averaging over a Gaussian area of this variance, px^2, at kx, ky, rad per block."""
     out: np.ndarray = np.exp(-0.5 * variance * (np.square(kx) + np.square(ky)) / BLOCK**2)
     return out
 
@@ -270,10 +250,8 @@ def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
 
 
 def displacement_area(bead_width: float) -> float:
-    """Return the variance, px^2, of the area over which the displacement of a block averages the motion.
-
-    The block contributes 25/12, and beads of the width `bead_width`, px, contribute width^2 / 3, as measured
-    with drawn beads of 1.5 to 4.2 px. RESTORED_VARIANCE, 1.2, is added.
+    """Return the variance, px^2, of the area over which a block's displacement averages the motion.
+    The block adds 25/12, beads of the width w add w^2 / 3 (measured with drawn beads of 1.5 to 4.2 px).
 
     >>> [round(displacement_area(width), 2) for width in (1.5, 3.0)]
     [4.03, 6.28]

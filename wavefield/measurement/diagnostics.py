@@ -121,8 +121,7 @@ def joined(cameras: Sequence[str]) -> str:
 
 
 def rms_within(values: NDArray[Any]) -> tuple[float, float]:
-    """Return the rms of the finite values without outliers, and the fraction of outliers, 0 to 1.
-    Outliers are values whose magnitude is more than three times the rms of all finite values."""
+    """Return the rms of the finite values up to three times their rms, and the fraction (0 to 1) beyond."""
     values = values[np.isfinite(values)]
     if values.size == 0:
         return float("nan"), 0.0
@@ -205,9 +204,8 @@ def diagnose(
 def _learned(
     frames: Frames, geometry: GridGeometry, model: Model | None, masks: Frames
 ) -> tuple[GridGeometry, Model, Images, Images]:
-    """Return the geometry, the model and the prepared images of the first and of the second frame.
-    If `model` is None, it is learned from these frames, with a geometry in which all cameras measure
-    velocity. Raises ValueError if a camera has no usable frame or nothing can be learned."""
+    """Return geometry, model (learned from these frames if None) and the prepared images of both frames.
+    Raises ValueError if a camera has no usable frame or nothing can be learned."""
     instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
     covered = [{n: masks[n][k] for n in masks} for k in (0, 1)]
     if model is None:
@@ -226,9 +224,7 @@ def _learned(
 
 
 def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
-    """Return the match from the second camera of `other` to the second camera of `one`.
-    The first camera of both pairs is the same, the reference. The result is the difference of both matches;
-    its `pair` and `found` are those of `one`."""
+    """Return the match between the second cameras of two pairs that share the first: `one` minus `other`."""
     d, parallax = one.difference - other.difference, one.parallax - other.parallax
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / np.hypot(*parallax)
     rejected, matched = one.rejected | other.rejected, one.matched & other.matched
@@ -248,10 +244,8 @@ def _moved(
     geometry: GridGeometry,
     model: Model,
 ) -> tuple[dict[Pair, NDArray[Any]], dict[tuple[str, ...], NDArray[Any]], list[float]]:
-    """Return `moved` and `eps_piv` of `Diagnosis`, and three median standard uncertainties, metres.
-    The uncertainties are those of dx, dy and dz. `views` are the images of both frames. `middle` (ny, nx) is
-    the elevation half-way between them, metres. Pairs with a camera that does not measure velocity are left
-    out."""
+    """Return `moved` and `eps_piv` of `Diagnosis`, and the median standard uncertainties of dx, dy, dz, m.
+    `middle` (ny, nx) is the elevation half-way between the two frames, whose images are `views`, metres."""
     moved: dict[Pair, NDArray[Any]] = {}
     eps_piv: dict[tuple[str, ...], NDArray[Any]] = {}
     moves = flows(views[0].raw, views[1].raw, geometry.settings.piv, model)
@@ -280,9 +274,8 @@ def diagnose_around(
     middle: int,
     pixel: float,
 ) -> Diagnosis | None:
-    """Compare the cameras in the step nearest to step `middle` that can be compared (`diagnose`).
-    `read(camera, frame)` returns an image or None, `steps` is the number of steps, and `pixel` the length
-    that counts as one pixel, metres. Only the nearest MAX_TRIED_STEPS steps are tried; None if all fail."""
+    """Compare the cameras (`diagnose`) in the first of the steps nearest to `middle` that can be compared.
+    `read(camera, frame)` returns an image or None; None is returned if MAX_TRIED_STEPS steps fail."""
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:MAX_TRIED_STEPS]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}
         try:

@@ -49,8 +49,7 @@ Flows = Mapping[str, CameraFlow]
 
 @dataclass
 class FlowEstimate:
-    """Most probable (MAP) displacement from one frame to the next, as a sum of three parts.
-    The parts are a series of cosines, a smooth field with the slopes at the edges, and a correction."""
+    """Most probable (MAP) displacement between two frames: cosines + smooth part + second harmonic."""
 
     waves: Float  # (2, my, mx): cosine coefficients, px
     edges: Float = field(repr=False)  # (2, ny, nx): smooth part (`Modes.split`), px
@@ -71,11 +70,8 @@ def filled(found: matching.Displacement) -> Float:
 
 
 def harmonics(midway: Float) -> Float:
-    """Return the difference between displacements at start points and at midpoints, (2, ny, nx), px.
-    `midway` (2, ny, nx), px, is the displacement D as a function of a particle's midpoint, half-way between
-    the frames. As a function of the start point it is u(x) = D(x + u/2), so u - D = (D . grad) D / 2 to first
-    order, a second harmonic. The mean of the factor D is excluded, because a common motion shifts waves
-    without changing them."""
+    """Return the displacement at start points minus that at midpoints, (D . grad) D / 2, (2, ny, nx), px.
+    D = `midway` (2, ny, nx), px. The mean of the factor D is excluded: common motion only shifts waves."""
     x, y = midway
     xx, xy, yx, yy = slopes_of(x, y)
     x, y = x - x.mean(), y - y.mean()
@@ -89,11 +85,8 @@ def map_displacement(
     modes: Modes,
     with_harmonics: bool = False,
 ) -> FlowEstimate:
-    """Estimate the most probable displacement (MAP) between two images from a match of their blocks.
-    The blocks of the images `one` and `other` are evaluated again at each solution, until solutions converge;
-    `modes` solves for the field. With `with_harmonics`, the field is separated from the correction that
-    `harmonics` computes. While spectra and noise are learned, the correction is not separated, because it
-    would be as noisy as the fields are then."""
+    """Estimate the most probable displacement (MAP) between two images, starting from their match.
+    `with_harmonics` subtracts `harmonics`; while spectra are learned, fields are too noisy for that."""
     found = match
     u = filled(match)
     edges, waves = modes.split(u)
@@ -139,10 +132,8 @@ def flows(
     settings: matching.MatchSettings,
     model: Model,
 ) -> dict[str, CameraFlow]:
-    """Return the most probable displacement (MAP) of each camera from its first image to its second.
-    `first` and `second` hold the prepared images by camera; a camera without both is left out. `settings` are
-    those of the match. All blocks of a camera are rejected as out of range if its displacements vary far more
-    than in the sample steps of `model`."""
+    """Return the most probable displacement (MAP) of every camera that has a first and a second image.
+    A camera is rejected (out of range) if it moves far more than in the sample steps of `model`."""
     out, learned = {}, dict(model.record.motion)
     for name in first:
         if name in second:

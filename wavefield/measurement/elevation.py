@@ -44,9 +44,7 @@ class Blocks:
 
 def combine(matches: Sequence[PairMatch]) -> Blocks:
     """Compute the elevation of each block by least squares over the pairs that are valid there.
-    It is z = -sum dD . d / sum |dD|^2, with d the displacement between the images of a pair and dD its
-    parallax per metre of elevation. The part of d that no elevation explains is the epipolar error, eps_Y =
-    sum (dD_y d_x - dD_x d_y) / sum |dD|."""
+    With difference d and parallax dD (`match_pair`): z = -sum dD . d / sum |dD|^2."""
     shape = matches[0].eps_y.shape
     along, across, square, length = np.zeros((4, *shape), np.float32)
     rejected = np.zeros(shape, np.uint16)
@@ -89,12 +87,8 @@ def map_elevation(
     whole_beads: bool,
     noise_across: bool = True,
 ) -> ElevationEstimate:
-    """Estimate the most probable elevation (MAP) from the matches of all pairs of cameras.
-    `blocks` is their elevation by `combine`, `prepared` the rectified images, `modes` the solver, and `pixel`
-    the side of a rectified pixel, metres. An elevation z displaces the images of a pair by -dD z, with the
-    parallax dD. If a block has the score s and Hessian H for displacements, its score for z is therefore -dD
-    . s, and its Hessian dD H dD. With `whole_beads`, s and H come from `scores_at`, else from `reevaluate`.
-    With `noise_across`, the noise is measured across the sight lines, else along them."""
+    """Estimate the most probable elevation (MAP) from the matches of all pairs, with `combine(matches)`.
+    A block with score s and Hessian H for displacements has -dD . s and dD H dD for z (parallax dD)."""
     z = blocks.filled
     edges, waves = modes.split(z)
     pairs = [_PairScores(m, pixel) for m in matches]
@@ -128,9 +122,7 @@ def map_elevation(
 
 
 def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float) -> float:
-    """Return the mean inverse variance of the elevation of single blocks, m^-2, before the MAP estimate.
-    Blocks without information do not count; without any, it is 0. `pixel` is the side of a rectified pixel,
-    metres."""
+    """Return the mean inverse variance of z over blocks with information, m^-2, before the MAP estimate."""
     pairs = [_PairScores(m, pixel) for m in matches]
     z = blocks.filled[0]
     hessian = np.sum([one.hessian for one in pairs], axis=0)
@@ -145,18 +137,15 @@ def _noise(score: Float, hessian: Float, freedom: float) -> Float:
 
 
 def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
-    """Return the variance of scores per unit of their Hessian, (ny, nx), across the sight lines.
-    `smooth` (ny, nx) is the smooth part of the error there (`_smooth_across`), which is subtracted. The
-    result includes the factor NOISE_MARGIN."""
+    """Return the variance of scores per unit of their Hessian across the sight lines, times NOISE_MARGIN.
+    `smooth` (ny, nx), the calibration's part of the error there (`_smooth_across`), is subtracted."""
     parts = [one.across(smooth) for one in pairs]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     return np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
 
 
 def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:
-    """Return the smooth part of the epipolar error, (ny, nx), and its rms, both as metres of elevation.
-    The smooth part consists of the longest cosine modes. Its rms is reduced by the gain of the MAP field, and
-    by noise, which is estimated from the next shorter modes."""
+    """Return the smooth part of the epipolar error, (ny, nx), and its rms without noise, metres of z."""
     waves = modes.waves(combine([m.turned for m in matches]).filled)
     smooth = np.zeros_like(waves)
     smooth[:, :_SMOOTH_MODES, :_SMOOTH_MODES] = waves[:, :_SMOOTH_MODES, :_SMOOTH_MODES]
@@ -198,9 +187,8 @@ class _PairScores:
         return self._score(self.D, self.hessian, self.here - z)
 
     def across(self, smooth: Float) -> tuple[Float, Float]:
-        """Return score and Hessian, each (ny, nx), for displacements across the sight lines.
-        No elevation causes such displacements; they are expressed in metres of elevation, as `smooth` (ny,
-        nx), their smooth part, which is subtracted."""
+        """Return score and Hessian (ny, nx) for displacements across the sight lines, less the part `smooth`.
+        No elevation causes such displacements; they are expressed in metres of elevation."""
         D = quarter_turn(self.D)
         hessian = _through(D, self._hessian)
         return self._score(D, hessian, self.match.turned.height - smooth), hessian
@@ -236,8 +224,7 @@ class Surface:
 
 
 def surface(prepared: PreparedImages, geometry: GridGeometry, model: FieldModel) -> Surface | None:
-    """Measure the elevation at the nodes from the rectified images of one instant, by camera.
-    The result is None if the images cannot be matched, and z = 0 for a light sheet."""
+    """Measure z at the nodes from rectified images; z = 0 for a light sheet. None if too few blocks match."""
     if geometry.settings.sheet_thickness is not None:
         return _sheet(geometry.grid.shape)
     found = match_pairs(prepared, geometry)
@@ -296,9 +283,8 @@ def _sheet(shape: tuple[int, int]) -> Surface:
 
 
 def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPairs | None:
-    """Match the rectified images of all pairs at one instant; return common elevation and matches.
-    If too few blocks match, it is tried again without the reference camera, whose frame may be blank. None if
-    this fails as well, or if fewer than two cameras have an image."""
+    """Match the images of all pairs at one instant; None if too few blocks match.
+    The reference may be blank: the match is then repeated without it, if two cameras are left."""
     present = tuple(prepared)
     while pairs := geometry.pairs_for(present):
         reference = pairs[0][0]
@@ -314,8 +300,7 @@ def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPair
 
 
 def windowed(matches: Sequence[PairMatch], geometry: GridGeometry) -> Float:
-    """Return the elevation at the nodes, (ny, nx), metres, by least squares over the matches alone.
-    It uses no learned spectrum. It is NaN where no pair is valid."""
+    """Return z at the nodes, (ny, nx), metres, from the matches alone, without a spectrum; else NaN."""
     blocks = combine(matches)
     if not blocks.valid.any():
         return np.full(geometry.grid.shape, np.nan, np.float32)

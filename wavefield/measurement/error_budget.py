@@ -77,9 +77,8 @@ def error_budget(
     frame_rate: float,
     times: Float = EVEN_TIMES,
 ) -> dict[str, Float]:
-    """Return the five terms of the variance of z, dx, dy, dz in one step, by name, each (4, ny, nx), m^2.
-    dx, dy, dz are the displacement of the water per step. The names are those of TERMS. `times` (6,) of the
-    frames are in frame intervals from mid-time; `frame_rate` is in Hz."""
+    """Return the variances of z, dx, dy, dz (displacement per step) by name of the term, (4, ny, nx), m^2.
+    `times` (6,) of the frames are in frame intervals from mid-time; `frame_rate` is in Hz."""
     waves = detected_waves(record.elevation, geometry.pixel, frame_rate)
     return {
         "noise": noise(estimate),
@@ -91,10 +90,8 @@ def error_budget(
 
 
 def noise(estimate: StepEstimate) -> Float:
-    """Return the variance of z, dx, dy, dz due to noise of the images, (4, ny, nx), m^2.
-    It is the noise part of the posterior variance (`PosteriorVariance`), propagated along the particles'
-    paths. If the displacements in the N cameras disagree by more than this (chi^2 per degree of freedom above
-    1), the variance of dx, dy, dz is multiplied by (1 + (2N - 3) chi^2) / (2N - 2)."""
+    """Return the noise part of the posterior variance, (4, ny, nx), m^2, propagated along the paths.
+    If N cameras disagree by more (chi^2 > 1), velocities get the factor (1 + (2N - 3) chi^2) / (2N - 2)."""
     motion, surfaces = estimate.motion, estimate.nearest
     z = np.mean([one.noise for one in surfaces], axis=0)
     chi2 = np.nan_to_num(motion.noise_factor, nan=1.0)
@@ -102,20 +99,14 @@ def noise(estimate: StepEstimate) -> Float:
 
 
 def removed_by_prior(estimate: StepEstimate) -> Float:
-    """Return the variance of z, dx, dy, dz of the waves that the prior suppresses, (4, ny, nx), m^2.
-    It is the part of the posterior variance that is not noise (`PosteriorVariance`). All cameras miss the
-    same waves, so averaging over cameras does not reduce it. It is divided among dx, dy, dz in the
-    proportions of deep-water waves."""
+    """Return the variance of waves that the prior suppresses, (4, ny, nx), m^2; all cameras miss the same."""
     z = np.mean([one.missing for one in estimate.nearest], axis=0)
     return np.concatenate([z[None], estimate.motion.missing])
 
 
 def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int, times: Float) -> Float:
-    """Return the variance of z, dx, dy, dz lost between the frames, (4, ny, nx), m^2.
-    It is the sum of S |1 - K(p)|^2 over the waves, for dx, dy, dz times p^2. S is the variance of a wave, p =
-    omega dt its phase per frame, and K the gain of interpolating z between 6, 4, 3 or 2 frames, or velocities
-    between 6, 4 or 2. `orbits` is added for dx, dy, dz, and `changed_waves` for all. `times` (6,) of the
-    frames are in frame intervals from mid-time."""
+    """Return the variance lost between the frames, (4, ny, nx), m^2: sum over the waves of S |1 - K(p)|^2.
+    S is the variance of a wave, p its phase per frame, K the gain; for dx, dy, dz times p^2."""
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     for count in np.unique(estimate.mid_time.frames).tolist():
         out[0][estimate.mid_time.frames == count] = lost_by_elevation(waves, count, times)
@@ -128,11 +119,8 @@ def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int
 
 
 def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> float:
-    """Return the variance of z, m^2, due to waves that start or stop within the six frames; 0 without any.
-    Such waves make z from six frames differ from z from four. Noise and stationary waves alone give the mean
-    squared difference E = noise sum (w6 - w4)^2 + sum S |K6 - K4|^2, with w the weights of the frames, K the
-    gains for waves and S their variances. If the measured mean square exceeds 4 E, four times the excess is
-    returned. `times` (6,) of the frames are in frame intervals from mid-time."""
+    """Return the variance of z, m^2, of waves that start or stop within the six frames.
+    Noise and steady waves make z from 6 and 4 frames differ by noise sum (w6 - w4)^2 + sum S |K6 - K4|^2."""
     six, four = (frame_weights(times, FRAMES_OF_Z[n])[0] for n in (6, 4))
     apart = np.exp(1j * np.outer(waves.phase, times)) @ (six - four)
     expected = waves.variance @ np.square(np.abs(apart))
@@ -141,19 +129,16 @@ def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> flo
 
 
 def lost_by_elevation(waves: WaveRings, frames: int, times: Float = EVEN_TIMES) -> float:
-    """Return the variance of z, m^2, lost by interpolation between `frames` (6, 4, 3 or 2) frames.
-    It is the sum over the waves of S |1 - sum w_t exp(i p t)|^2. S is the variance of a wave, p its phase per
-    frame, and w_t the weight of the frame at the time t, in frame intervals from mid-time."""
+    """Return the variance of z, m^2, lost by interpolation between 6, 4, 3 or 2 frames.
+    It is sum S |1 - sum w_t exp(i p t)|^2: S variance, p phase per frame, w_t weight of the frame at t."""
     weights, _ = frame_weights(times, FRAMES_OF_Z[frames])
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1.0 - seen)))
 
 
 def lost_by_paths(waves: WaveRings, path_frames: int, times: Float = EVEN_TIMES) -> float:
-    """Return the variance of the surface's rise per step, m^2, lost by paths through a few frames.
-    It is the sum over the waves of S |i p - sum w_t exp(i p t)|^2, plus `orbits`. S is the variance of a
-    wave, p its phase per frame, and w_t the weight of the frame at the time t, in frame intervals from
-    mid-time, in the derivative. `path_frames` is the kind of path (`path_weights`)."""
+    """Return the variance of the rise per step, m^2, lost by this kind of path (`path_weights`).
+    It is sum S |i p - sum w_t exp(i p t)|^2, with the weights w_t of the derivative, plus `orbits`."""
     _, weights = frame_weights(times, FRAMES_OF_Z[frames_of_path(path_frames)], path_frames == 6)
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1j * waves.phase - seen))) + orbits(waves, path_frames)
@@ -161,11 +146,11 @@ def lost_by_paths(waves: WaveRings, path_frames: int, times: Float = EVEN_TIMES)
 
 def orbits(waves: WaveRings, path_frames: int) -> float:
     """Return the variance of the rise per step, m^2, lost because long waves i carry short waves j along.
-    A particle that the orbit of a wave i displaces by xi has the velocity u + xi u', with u the velocity of a
-    wave j. The phase of the second term turns by the sum or difference of both phases p per frame. Paths have
-    the gain K for velocities and Q for positions, so they miss the part D = 1 - Q(p_i) of xi. The variance is
-    c sum S_i S_j (k_j p_j)^2 ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) - K(p_i + p_j) - D)^2). S and k are the
-    variance and the wavenumber of a wave, and c = 0.75 accounts for their directions."""
+
+    A particle that wave i displaces by xi has the velocity u + xi u'. The phase of the second term turns by
+    p_i + p_j or p_i - p_j per frame. With the gains K of velocities and Q of positions, and D = 1 - Q(p_i), c
+    sum S_i S_j (k_j p_j)^2 ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) - K(p_i + p_j) - D)^2) is lost.
+    """
     p, gain = waves.phase, path_gain(waves.phase, path_frames)
     of_sum, of_difference = (path_gain(p[:, None] + one, path_frames) for one in (p, -p))
     place = 1.0 - elevation_gain(p, min(path_frames, 4))[:, None]
@@ -175,9 +160,8 @@ def orbits(waves: WaveRings, path_frames: int) -> float:
 
 
 def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRings:
-    """Return the waves in the learned spectrum of z that stand out from the noise.
-    Other rings of wavenumber have the variance 0. `elevation` is the learned prior of z; `pixel` is the side
-    of a rectified pixel, metres; `frame_rate` is in Hz."""
+    """Return the waves of the learned spectrum of z that stand out from noise; other rings have variance 0.
+    `pixel` is the side of a rectified pixel, metres; `frame_rate` is in Hz."""
     k = np.array(elevation.k)
     detected = np.array(elevation.detected or [[True] * len(k)]).all(axis=0)
     power = elevation.wave_fraction * np.mean(elevation.power, axis=(0, 1)) * detected
@@ -188,9 +172,7 @@ def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRin
 
 def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float, float]:
     """Return which fraction of the rise's variance is aliased, and the longest aliased wavelength, metres.
-    The rise is that of the surface per frame. A wave is aliased if its phase turns by more than pi from frame
-    to frame. Both results are 0 without such waves. `elevation` is the learned prior of z; `pixel` is the
-    side of a rectified pixel, metres; `frame_rate` is in Hz."""
+    A wave is aliased if its phase turns by more than pi per frame. Arguments: see `detected_waves`."""
     waves = detected_waves(elevation, pixel, frame_rate)
     rise = waves.variance * np.square(waves.phase)
     fast = (waves.phase > np.pi) & (rise > 0)
@@ -200,8 +182,7 @@ def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float
 
 
 def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
-    """Return the kind of path, 4, 6 or 7 (`path_weights`), with the smallest error of the velocity.
-    `noise_variance` is the sum of the noise variances of dx, dy and dz, the displacement per step, m^2."""
+    """Return the kind of path (4, 6 or 7) with the smallest error, for the noise of dx + dy + dz, m^2."""
 
     def error(code: int) -> float:
         half = PATH_WEIGHTS[code]
@@ -213,10 +194,8 @@ def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
 
 
 def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
-    """Return the variances of z, dx, dy, dz due to ripples (waves shorter than blocks), (4,), m^2.
-    `learned` holds the standard deviation of the ripples' rise per frame, and their wavelength, metres. Let
-    a^2 be their variance of z and p their phase per frame. Their rise per frame then has the variance 2 a^2
-    (1 - cos p), with p limited to pi/2, and their vertical motion per frame (a p)^2."""
+    """Return the variances (4,) due to waves shorter than blocks, m^2; `learned` are rise and wavelength, m.
+    A variance a^2 of z gives the rise 2 a^2 (1 - cos p) per frame (p < pi/2), and vertical motion (a p)^2."""
     rise, wavelength = learned
     if not rise:
         return np.zeros(4, np.float32)
@@ -226,10 +205,8 @@ def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
 
 
 def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
-    """Return the variance of z, dx, dy, dz due to the setup, (4, ny, nx), m^2.
-    For z it is the calibration error, or a quarter of the thickness of a light sheet, squared. The
-    calibration error is assumed to equal the smooth epipolar error. For dx and dy it comes from the tilt of
-    beads; for dz it is 0."""
+    """Return the variance due to the setup, (4, ny, nx), m^2: calibration error or light sheet, tilted beads.
+    The calibration error along the sight lines is taken to equal the smooth epipolar error across them."""
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     out[0] = np.mean([one.epipolar**2 for one in estimate.nearest])
     if geometry.settings.sheet_thickness is not None:  # four standard deviations of the light
@@ -240,18 +217,14 @@ def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
 
 
 def bead_tilt(rise: Float, step: float, height: float) -> Float:
-    """Return how far beads move relative to the water as the surface tilts, m per time step, (2, ny, nx).
-    The components are along x and y. A bead at `height` (m) along the normal moves by -`height` times the
-    change of grad z per time step. `rise` (ny, nx) is the change of z per time step, m; `step` is the spacing
-    of the grid, m."""
+    """Return how far beads move over the water per step as it tilts, -height grad(rise), (2, ny, nx), metres.
+    `rise` (ny, nx) is the change of z per step, `step` the spacing of the grid, both in metres."""
     along_y, along_x = np.gradient(rise, step)
     return np.nan_to_num(-height * np.stack([along_x, along_y]))
 
 
 def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
-    """Return the standard uncertainty of the level z = 0, metres, which all nodes and times share.
-    It comes from the levelling of the rig if there was one; else it is the height of the beads, from the
-    settings or from their width. It is 0 for a light sheet, and NaN if nothing is known."""
+    """Return the standard uncertainty of the level z = 0, m, common to all nodes; NaN if unknown."""
     levelled = geometry.rig.provenance.get("levelled")
     if geometry.settings.sheet_thickness is not None:
         return 0.0  # `stated_by_setup` contains it
@@ -276,15 +249,10 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
 def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry) -> tuple[float, float]:
     """Return two variances of the ripples' rise per frame, m^2: shared by two cameras, and in one camera.
 
-    `found` holds the displacement of each camera, and z (ny, nx) the elevation, metres. Ripples whose rise
-    has the variance c displace the blocks of cameras a and b with the covariance J_a diag(1/2, 1/2, 1) J_b^T
-    c, with J the Jacobians of the images on the surface z. c is fitted to the scores of two cameras (the
-    first result), and to the scores of one camera (the second). Each score is divided by the square root of
-    its Hessian's trace, so that all scores have the same noise.
-
-    The results belong to the pair of cameras that shares the smallest fraction, because neighbouring cameras
-    also share changes of light. The first may be negative by chance. Both are 0 if no two cameras measured
-    enough nodes.
+    Ripples whose rise has the variance c move the blocks of cameras a and b with the covariance J_a diag(1/2,
+    1/2, 1) J_b^T c, with J the Jacobians on the surface z (ny, nx), metres. c is fitted to the scores of two
+    cameras, and to those of one, divided by the square root of their Hessian's trace (equal noise). Of
+    several pairs the one that shares least counts, because neighbours also share changes of light.
     """
     scores, waves = {}, {}
     for name, one in found.items():
@@ -311,17 +279,14 @@ def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeo
 
 
 def ripple_rise(shared: float, total: float) -> float:
-    """Return the standard deviation of the ripples' rise per frame, metres; 0 if there are no ripples.
-    `shared` and `total` are the results of `shared_motion`. There are ripples if `shared` is more than 0.2
-    times `total`."""
+    """Return the standard deviation of the ripples' rise per frame, m, from `shared_motion`; 0 if none."""
     return float(np.sqrt(shared / SEEN_BY_BLOCKS)) if shared > MIN_SHARED * total else 0.0
 
 
 def blocks_at(
     lattice: BlockLattice, x: Float, y: Float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-    """Return column and row of the blocks nearest to x, y (n,), px, and a mask of points on the lattice.
-    All three are (n,). Points beyond the lattice get the nearest block at its edge."""
+    """Return column and row of the blocks nearest to x, y (n,), px, and a mask of points on the lattice."""
     ny, nx = lattice.shape
     column, row = (np.rint((v - v0) / lattice.step) for v, v0 in ((x, lattice.x0), (y, lattice.y0)))
     inside = (column >= 0) & (column < nx) & (row >= 0) & (row < ny)
@@ -329,6 +294,6 @@ def blocks_at(
 
 
 def covariance(A: Float, B: Float) -> Float:
-    """Return the covariance (2, 2, n) of the scores of two cameras, for ripples whose rise has variance 1.
-    A and B (2, 3, n) are the derivatives of both cameras' scores with respect to the motion of the water."""
+    """Return the covariance (2, 2, n) of two cameras' scores for ripples whose rise has the variance 1.
+    A and B (2, 3, n) are the derivatives of the scores with respect to the motion of the water."""
     return np.asarray(np.einsum("ikn,k,jkn->ijn", A, WAVE_VARIANCES, B))

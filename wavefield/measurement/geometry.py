@@ -37,8 +37,7 @@ _ORDER = 4
 
 class Sight:
     """Image positions and Jacobians of the nodes in one camera, as polynomials in z.
-    Attributes: binning, side in px of the squares of raw pixels that are averaged; camera, the camera of the
-    binned image; lattice, the blocks of the binned image, px."""
+    `binning` is the side in raw px of a pixel of the binned image, to which `camera` and `lattice` belong."""
 
     def __init__(
         self, camera: Camera, binning: int, x: Float, y: Float, z_range: tuple[float, float]
@@ -60,13 +59,8 @@ class Sight:
         self._polynomial = np.einsum("pk,kfyx->fpyx", inverse, np.array(values)).astype(np.float32)
 
     def at(self, z: Float, every: int = 1) -> NDArray[np.float32]:
-        """Return image position and Jacobian, (8, ny, nx), of nodes at elevations z (ny, nx), metres.
-
-        The nodes are those of the grid, or each `every`-th along x and y.
-
-        The eight planes are X, Y (px of the binned image), then dX/dx, dX/dy, dX/dz, dY/dx, dY/dy, dY/dz
-        (px per metre).
-        """
+        """Return X, Y (px of the binned image) and the Jacobian row by row (px/m) of nodes at z, (8, ny, nx).
+        z (ny, nx) is in metres; with `every` above 1, only each so many-th node along x and y is used."""
         return self._evaluate(z, self._polynomial[..., ::every, ::every])
 
     def position(self, z: Float) -> NDArray[np.float32]:
@@ -133,11 +127,8 @@ class RectifiedView:
 def fit_plane(
     cameras: Sequence[Camera], x: Float, y: Float, z_range: tuple[float, float], pixel: float
 ) -> RectifiedPlane:
-    """Choose the rectangle on z = 0 to which images are rectified, for nodes x, y (ny, nx), metres.
-    It contains the points where the sight lines through the nodes, at the elevations of `z_range`, meet z =
-    0: those of the reference, which is the first camera, and of at least one other camera. It is limited to
-    what two cameras see, with a margin. `pixel` is the side of a rectified pixel, metres. Raises RigError if
-    the grid or the common view is too small."""
+    """Choose the rectangle on z = 0 that images are rectified to; the first camera is the reference.
+    It contains the apparent positions of the nodes x, y (ny, nx) over `z_range` that two cameras see."""
     if min(x.shape) < _MIN_NODES:
         raise RigError(
             f"the grid has {x.shape[1]} x {x.shape[0]} nodes, and slopes need {_MIN_NODES} along each side: "
@@ -172,9 +163,8 @@ def fit_plane(
 
 
 def _reach(camera: Camera, edge: Float) -> Float:
-    """Return points (n, 2), metres, that bound the part of the plane z = 0 which a camera sees.
-    If the horizon is in view, those of the grid's edge nodes `edge` (m, 2), metres, that the camera sees are
-    added."""
+    """Return points (n, 2), metres, that bound the part of z = 0 which a camera sees.
+    If the horizon is in view, they include the visible ones of the grid's edge nodes `edge` (m, 2)."""
     view = view_on_water(camera)
     if np.isfinite(camera.corners()).all():
         return view
@@ -184,9 +174,7 @@ def _reach(camera: Camera, edge: Float) -> Float:
 def rectified_views(
     sights: Mapping[str, Sight], plane: RectifiedPlane, middle: tuple[float, float], stereo: MatchSettings
 ) -> dict[str, RectifiedView]:
-    """Compute the rectified view of every camera on `plane`, by camera.
-    `middle` is the middle (x, y) of the grid, metres; `stereo` are the settings of matching between
-    cameras."""
+    """Compute the rectified view of every camera on `plane`; `middle` (x, y) is that of the grid, metres."""
     blur = _blur(sights, plane.pixel, middle)
     out = {}
     for name, sight in sights.items():
@@ -201,10 +189,8 @@ def rectified_views(
 def _blur(
     sights: Mapping[str, Sight], pixel: float, middle: tuple[float, float]
 ) -> dict[str, tuple[float, float]]:
-    """Return, by camera, the blur that makes beads equally wide in all rectified images.
-    The blur is a Gaussian, given by its standard deviations along x and y, px. Without it, beads are
-    stretched along the view of an oblique camera, which would bias z. `middle` is the middle (x, y) of the
-    grid, metres."""
+    """Return, by camera, the blur (std along x and y, px) that makes beads equally wide in all views.
+    Without it, beads are stretched along the view of an oblique camera, which would bias z."""
     variances = {}
     for name, sight in sights.items():
         side = np.linalg.inv(sight.camera.jacobian(*middle, 0.0)[:, :2]) / pixel
@@ -228,8 +214,7 @@ class Covered:
     flat: Mask | None  # of the rectified image; None for a camera that does not measure z
 
     def at(self, X: NDArray[Any], Y: NDArray[Any]) -> Pixels:
-        """Return a mask, True where the block around a position X, Y, px, contains masked pixels.
-        Positions outside the binned image are False."""
+        """Return a mask, True where the block around X, Y, px, lies in the image and has masked pixels."""
         whole = self.raw.levels[0]
         h, w = whole.shape
         with np.errstate(invalid="ignore"):
@@ -393,9 +378,7 @@ class GridGeometry:
         return settings
 
     def pairs_for(self, present: Sequence[str]) -> tuple[Pair, ...]:
-        """Return the pairs of cameras that measure z if only the cameras `present` have a frame.
-        They are those of `pairs` with both cameras present. If none is left, new pairs are made of the
-        cameras that are present; the result is empty for fewer than two."""
+        """Return the pairs whose cameras are all `present`, or else new pairs of those that are."""
         planned = tuple(p for p in self.pairs if p[0] in present and p[1] in present)
         if planned:
             return planned
@@ -413,16 +396,13 @@ class GridGeometry:
             raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
 
     def _fitting_pixel(self) -> float:
-        """Return the side of a rectified pixel, metres, that suits cameras and grid.
-        It is that of the camera with the coarsest pixels on the water. It is reduced, at most to half, if a
-        block of 5 px would span more than 0.8 grid steps."""
+        """Return the side of a rectified pixel, m: the coarsest camera's, or less on a fine grid."""
         own = max(pixel_sides(self.rig[name], *self.middle)[0] for name in self.surface_cameras)
         return max(own / 2.0, min(own, 0.8 * self.grid.step / BLOCK))
 
 
 def _with_reference_first(pairs: Sequence[Pair]) -> tuple[Pair, ...]:
-    """Return the pairs with their common camera first.
-    Raises ExperimentError if they have no common camera, or if a pair occurs twice."""
+    """Return the pairs with their common camera first; ExperimentError if they have none or repeat."""
     common = set.intersection(*(set(pair) for pair in pairs))
     if not common or len({frozenset(p) for p in pairs}) < len(pairs):
         text = ", ".join(f"[{a}, {b}]" for a, b in pairs)

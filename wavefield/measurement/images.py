@@ -67,8 +67,7 @@ def _skewness(part: NDArray[Any]) -> float:
 
 
 def above_floor(image: NDArray[Any], width: float) -> NDArray[Any]:
-    """Return an image (h, w) without everything larger than about three bead widths (a white top-hat).
-    `width` is that of the beads, px. For a texture (width 0) the image itself is returned."""
+    """Remove what is larger than three bead widths (px) by a white top-hat; a texture (width 0) stays."""
     if not width:
         return image
     side = int(np.ceil(MAX_SIZE_TO_WIDTH * width)) // 2 * 2 + 3
@@ -85,8 +84,7 @@ GREY_LEVELS_PER_E = 5000.0  # grey levels per factor e of brightness: 65535 leve
 
 
 def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
-    """Return whether a frame can be measured: a grey image of this size (width, height), with contrast.
-    A frame of floats is not usable if more than about half of its pixels are not finite."""
+    """Return whether a frame is a grey image of this size (width, height) with contrast and mostly finite."""
     if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
         return False
     if image.dtype.kind not in "uif":
@@ -98,10 +96,8 @@ def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
 def ready(
     image: NDArray[Any], count: int, width: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """Prepare a usable frame (h, w): remove its background, compress its brightness, and bin it.
-    Binning averages squares of `count` x `count` pixels. `width` is that of the beads, px, measured if None;
-    for a texture (width 0) the background stays. `covered` (h, w) is True for masked pixels, which do not
-    count."""
+    """Prepare a usable frame (h, w): remove its background, compress its brightness, bin count x count px.
+    The width of the beads, px, is measured if None; 0 is a texture. `covered` (h, w) pixels do not count."""
     if covered is not None:
         image = fill_masked(image, covered)
     width = bead_width(image) if width is None else width
@@ -115,8 +111,7 @@ def ready(
 
 
 def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
-    """Sharpen an image, so that the images of neighbouring beads overlap less.
-    Where beads overlap, differences of brightness between cameras bias the match."""
+    """Sharpen an image: overlapping beads of unequal brightness in two cameras would bias the match."""
     kernel = np.array([-amount, 1.0 + 2.0 * amount, -amount], np.float32)
     part = np.ascontiguousarray(image, np.float32)
     return np.asarray(cv2.sepFilter2D(part, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REPLICATE))
@@ -125,10 +120,8 @@ def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
 def log_compress(
     image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """Compress the brightness I of an image to 5000 log(1 + (I - B) / (0.5 (I_99 - B))).
-    B is the level `black`, by default the 1 % quantile of the brightness, and I_99 the 99 % quantile; pixels
-    below B become 0. A bead that is bright in one camera only would bias the match; the logarithm turns
-    factors of brightness into constants. `covered` (h, w) is True for pixels that the quantiles leave out."""
+    """Compress the brightness I of an image to 5000 log(1 + (I - B) / (0.5 (I_99 - B))); below B it is 0.
+    B is `black`, by default the 1 % quantile. A bead's factor of brightness becomes a constant."""
     low, _, high = _levels(image, covered)
     low = low if black is None else black
     knee = max(KNEE_TO_CONTRAST * (high - low), 1e-6 * max(abs(low), abs(high), 1e-30))
@@ -156,9 +149,8 @@ def _table_value(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) ->
 
 
 def _levels(image: NDArray[Any], covered: NDArray[np.bool_] | None = None) -> tuple[float, float, float]:
-    """Return the 1, 50 and 99 % quantiles of the brightness, from every eighth pixel along both axes.
-    `covered` (h, w) is True for pixels that do not count. All three are 0 if no pixel is left, or if fewer
-    than about half of the pixels of floats are finite."""
+    """Return the 1, 50 and 99 % quantiles of the brightness of pixels not `covered`, from every eighth pixel.
+    All three are 0 if no pixel is left, or if fewer than about half of the pixels are finite."""
     sample = image[3::8, 3::8].ravel()
     if covered is not None:
         sample = sample[~covered[3::8, 3::8].ravel()]
@@ -184,8 +176,7 @@ Masks = Mapping[str, Pixels | None]
 
 
 def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
-    """Prepare the masks of one instant (True on pixels to ignore) for matching, by camera.
-    The result is also stored in `geometry`, so the same array is not prepared again at the next instant."""
+    """Prepare the masks of one instant (True on pixels to ignore), the same array only once."""
     out = {}
     for name in geometry.cameras:
         pixels = masks.get(name)
@@ -219,10 +210,8 @@ def masked_nodes(
     z: NDArray[Any],
     geometry: GridGeometry,
 ) -> Pixels:
-    """Return a mask (ny, nx), True for nodes that outlines on the water or masks of images cover.
-    `covered` holds the masks of both frames by camera, `missing` the cameras without a frame, and z (ny, nx)
-    the elevation, metres. Masks of images count if they leave no pair of cameras for z, or fewer than two
-    cameras for the velocity."""
+    """Return a mask (ny, nx) of nodes hidden by outlines, or by the masks `covered` of both frames.
+    Masks hide a node at z (ny, nx), metres, if they leave no pair for z or fewer than two cameras."""
     hidden = {}
     for name in {*covered[0], *covered[1]}:
         X, Y = geometry.sights[name].position(z)
@@ -239,8 +228,7 @@ def masked_nodes(
 def prepare(
     image: NDArray[Any], camera: str, geometry: GridGeometry, mask: Mask | None = None
 ) -> matching.PreparedImage:
-    """Sharpen and rectify an image, binned as by `ready`, and prepare it for matching between cameras.
-    `mask` belongs to the rectified image; by default it excludes only what the camera does not see."""
+    """Sharpen and rectify an image from `ready`, and prepare it for matching between cameras."""
     view = geometry.views[camera]
     flat = widen(rectify(sharpened(image, BETWEEN_CAMERAS), *view.maps), *view.blur)
     return matching.prepare(flat, geometry.settings.stereo, mask=mask or view.mask)
@@ -262,8 +250,7 @@ class Images:
 def usable_frames(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks
 ) -> dict[str, NDArray[Any]]:
-    """Return the usable frames, prepared by `ready`, by camera.
-    `beads` are the widths of the beads in each camera, raw px; `masks` are True on pixels to ignore."""
+    """Return the usable frames, prepared by `ready`; `beads` are the bead widths by camera, raw px."""
     out: dict[str, NDArray[Any]] = {}
     for name in geometry.cameras:
         image = frames.get(name)
@@ -275,8 +262,7 @@ def usable_frames(
 def rectified_images(
     ready_frames: Mapping[str, NDArray[Any]], geometry: GridGeometry, covered: Mapping[str, Covered]
 ) -> dict[str, matching.PreparedImage]:
-    """Rectify the frames from `usable_frames` and prepare them for matching between cameras.
-    `covered` holds prepared masks. The result is by camera; it is empty for a light sheet."""
+    """Rectify the frames from `usable_frames` for matching between cameras; none for a light sheet."""
     if geometry.settings.sheet_thickness is not None:
         return {}
     return {
@@ -289,8 +275,7 @@ def rectified_images(
 def images_of(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks | None = None
 ) -> Images:
-    """Prepare the frames of one instant, by camera, for matching between cameras and in time.
-    `beads` are the widths of the beads in each camera, raw px; `masks` are True on pixels to ignore."""
+    """Prepare the frames of one instant for both kinds of matching; `beads` are bead widths, raw px."""
     masks = masks or {}
     covered = covered_in(masks, geometry)
     ready_frames = usable_frames(frames, geometry, beads, masks)
@@ -304,9 +289,7 @@ def with_raw_images(
     geometry: GridGeometry,
     covered: Mapping[str, Covered],
 ) -> Images:
-    """Return the images of one instant: the rectified ones, `flat`, and new ones for matching in time.
-    The images for matching in time are made from `ready_frames` (`usable_frames`); `covered` holds prepared
-    masks."""
+    """Return the images of one instant: `flat`, and images for matching in time made from `ready_frames`."""
     raw = {
         name: matching.prepare(
             sharpened(ready_frames[name], IN_TIME),

@@ -57,16 +57,12 @@ def z_at_mid_time(
     times: Float = EVEN_TIMES,
     late: Float | None = None,
 ) -> tuple[tuple[Float, ...], NDArray[np.uint8], Mask]:
-    """Interpolate the elevation at mid-time, half-way between the two frames of a step, at nodes x, y.
+    """Interpolate z at mid-time, half-way between the frames of a step, at nodes x, y (ny, nx), metres.
 
-    `surfaces` are those of six frames, None if missing; x, y (ny, nx) are in metres. `flow` is the mean
-    displacement (dx, dy) of the water in the step, metres. `times` (6,) are those of the frames, and `late`
-    (ny, nx) is the delay at which a node is seen, both in frame intervals from mid-time.
-
-    Returns a tuple of at most three elevations (ny, nx), metres: the first from as many frames as possible,
-    the last from the step's two frames. Then the number of frames behind the first elevation, (ny, nx), and a
-    mask (ny, nx), True where both frames of the step measured the node. Elsewhere all frames are used, so
-    that filled nodes stay smooth.
+    `surfaces` are those of six frames, None if missing; `flow` is the mean displacement (dx, dy) of the water
+    per step, metres. The `times` (6,) of the frames and the delay `late` (ny, nx) at which a node is seen are
+    in frame intervals from mid-time. Returns up to three elevations (ny, nx), from as many frames as possible
+    down to two; the number of frames of the first; and a mask of nodes that both frames of the step measured.
     """
     # Interpolate in a frame of reference that moves with the mean flow U: a current would carry short waves
     # past a node faster than the frames follow. With z_n = z(x + t_n U) at t_n = -5/2 ... 5/2,
@@ -121,11 +117,8 @@ def reversed_in_time(frames: Sequence[int]) -> tuple[int, ...]:
 def rise_of_water(
     first: Surface, second: Surface, motion: Motion, flow: tuple[float, float], x: Float, y: Float
 ) -> Float:
-    """Return the rise of the water's surface per step, (ny, nx), metres, following particles.
-    The particles are at nodes x, y (ny, nx), metres, at mid-time. Their rise is z_1(x + c/2 + b) - z_0(x -
-    c/2 + b) + d_z - c_z. z_0 and z_1 are the surfaces `first` and `second`, c is the displacement from frame
-    to frame (chord), b the bend of the path, and d the velocity at mid-time times the interval (`Motion`).
-    Where the motion was not measured, the mean displacement `flow` (dx, dy) replaces it."""
+    """Return z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z, the rise of particles per step, (ny, nx), m.
+    c, b and d are chord, bend and displacement at mid-time (`Motion`), or the mean `flow` if not measured."""
     measured = np.isfinite(motion.chord).all(axis=0)
     parts = *motion.chord[:2], *motion.bend[:2], motion.d[2] - motion.chord[2]
     # where the motion was not measured, use the mean flow
@@ -153,8 +146,7 @@ def slope(z: Float, step: float, axis: int) -> Float:
 
 
 def frames_used(surfaces: Surfaces) -> int:
-    """Return the largest number of frames, 6, 4, 3 or 2, from which z at mid-time can be interpolated.
-    `surfaces` are those of six frames, None if missing; both frames of the step must be there."""
+    """Return from how many of six frames, 6, 4, 3 or 2, z at mid-time follows; None is a missing one."""
     present = [one is not None for one in surfaces]
     if present[1] and present[4]:
         return 6 if present[0] and present[5] else 4

@@ -91,10 +91,8 @@ class LearnedRecord:
 
 
 class FieldModel:
-    """Estimator of a field with a learned spectrum, `prior`, on a lattice of blocks `shape` (ny, nx).
-    Its tables are computed on first use. Holes in the data make the solver more careful only in the blocks
-    where `inner` (ny, nx) is True, by default in all. With `whole_beads`, every pixel counts in the block
-    that contains the brightest point of its bead (`scores_at`)."""
+    """Estimator of a field with the learned spectrum `prior` on a lattice (ny, nx); tables are made at use.
+    Holes outside `inner` (ny, nx) do not tighten the solver. `whole_beads`: see `scores_at`."""
 
     def __init__(
         self,
@@ -124,15 +122,13 @@ class FieldModel:
         return spline_prefilter(self._shape)[:my, :mx]
 
     def splined(self, waves: Float, rest: Float) -> Float:
-        """Return the cubic-spline coefficients (ny, nx, c) of a field with c components.
-        The field is given as cosine coefficients `waves` (c, my, mx) plus a field `rest` (c, ny, nx)."""
+        """Return cubic-spline coefficients (ny, nx, c) of cosines `waves` (c, my, mx) plus a field `rest`."""
         out = np.moveaxis(self.modes.field(waves * self._spline), 0, -1) + local_coefficients(rest)
         return np.ascontiguousarray(out, np.float32)
 
 
 def elevation_model(geometry: GridGeometry, prior: Prior, beads: Mapping[str, float]) -> FieldModel:
-    """Make the estimator of the elevation, metres, on the blocks of the rectified images.
-    `prior` is the learned spectrum of z; `beads` are the widths of the beads by camera, 0 for a texture."""
+    """Make the estimator of z, metres, on the blocks of the rectified images; `beads` are bead widths."""
     return FieldModel(prior, geometry.lattice.shape, _inner_blocks(geometry), all(beads.values()))
 
 
@@ -177,8 +173,7 @@ class Model:
 
 
 def _inner_blocks(geometry: GridGeometry) -> NDArray[np.bool_]:
-    """Return a mask (ny, nx), True for blocks that the reference and another camera see.
-    Blocks within seven blocks of the edge of this common view are False."""
+    """Return a mask (ny, nx) of blocks that the reference and another camera see, 7 blocks from the edge."""
     reference, *others = (geometry.views[name].visible_blocks for name in geometry.surface_cameras)
     both = np.minimum(reference, np.max(others, axis=0)) > 0.99
     return np.asarray(cv2.erode(both.view(np.uint8), np.ones((15, 15), np.uint8)) > 0)
@@ -217,10 +212,7 @@ class Convergence:
         self, modes: Modes, waves: Float, solved: Float, block_mean: Float | None
     ) -> tuple[Float, Float]:
         """Return the coefficients (c, my, mx) to continue with, and their field averaged over blocks.
-        `waves` is the previous solution, with its averaged field `block_mean` (None at first), and `solved`
-        the new one. The new solution is returned, but the mean of both if solutions oscillate, and the
-        previous one if the new one is too large to be a displacement. The change between both is stored for
-        `converged`."""
+        If solutions oscillate, it is their mean; if `solved` exceeds any image, the previous `waves`."""
         after = modes.block_mean(solved)
         self._diverged = not self._scale * float(np.abs(after).max()) < MAX_FIELD_PX  # true for NaN as well
         if self._diverged:

@@ -28,12 +28,9 @@ MIN_NODES = 50  # fewest nodes for a median
 def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
     """Return the index of the only camera without which the others agree; None if not exactly one.
 
-    `misfit` is the median chi^2 per degree of freedom with all cameras, and `misfit_without(n)` that without
-    camera n. A camera that moved along a line of three cameras cannot be identified: whichever is left out,
-    the other two agree.
+    `misfit` is the median chi^2 per degree of freedom with all cameras, `misfit_without(n)` that without
+    camera n. In a line of three cameras the one that moved along it is not found: any two agree.
 
-    Examples
-    --------
     >>> outlier_camera(3, 500.0, lambda n: 1.0 if n == 1 else 400.0)
     1
     >>> outlier_camera(3, 500.0, lambda n: 400.0 if n == 1 else 1.0) is None
@@ -53,10 +50,8 @@ def median_misfit(misfit: Float, measured: Mask) -> float:
 
 
 def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
-    """Return a mask (ny, nx), True for blocks at which the matches of two pairs give different elevations.
-    Successive pairs are compared. Their elevations, averaged over 5 x 5 blocks, differ by more than 1.5 px of
-    parallax there, or within two blocks. `pixel` is the side of a rectified pixel, metres. This test finds
-    errors larger than a bead, which scores do not show; `inconsistent_scores` finds smaller ones."""
+    """Return a mask (ny, nx) of blocks at which the z of successive pairs, matched alone, differ by > 1.5 px.
+    This finds errors larger than a bead, which scores do not show. `pixel` is in metres."""
     out = np.zeros(matches[0].eps_y.shape, bool)
     for one, other in pairwise(matches):
         lengths = (np.sqrt(np.sum(np.square(m.parallax), axis=0)) for m in (one, other))
@@ -69,11 +64,8 @@ def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
 
 
 def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
-    """Return a mask (ny, nx), True for blocks at which two pairs would correct the elevation differently.
-    The arguments have one array (ny, nx) for each pair of cameras: scores s and Hessians H for the common
-    elevation, and magnitudes of the parallax, px per metre. Successive pairs are compared. Their corrections,
-    sum s / sum H over 9 x 9 blocks, differ by more than 0.75 px of parallax there, or within two blocks. Only
-    this test finds a camera that is displaced by a pixel."""
+    """Return a mask (ny, nx) of blocks where successive pairs would correct the common z differently.
+    Scores and Hessians are for z; `lengths` (ny, nx) are parallaxes, px/m. This finds shifts of one pixel."""
     means = [
         (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
         for s, h in zip(scores, hessians, strict=True)

@@ -60,12 +60,11 @@ def quarter_turn(vector: Float) -> Float:
 def match_pair(
     a: matching.PreparedImage, b: matching.PreparedImage, pair: tuple[str, str], geometry: GridGeometry
 ) -> PairMatch:
-    """Match the rectified images a, b of two cameras at one instant, and reject implausible blocks.
-    `pair` are the cameras' names. A point at the elevation z appears at the positions x_a and x_b, where both
-    sight lines meet z = 0. D, the slope of a sight line, is its horizontal displacement per unit of height.
-    Then d = x_b - x_a = -(D_b - D_a) z = -dD z, so z = -(dD . d) / |dD|^2. The epipolar error, which no
-    elevation explains, is eps_Y = (dD_y d_x - dD_x d_y) / |dD|. Blocks with a large z or eps_Y are
-    rejected."""
+    """Match the rectified images a, b of the cameras `pair`, and reject blocks with a large z or eps_Y.
+
+    A point at z appears at x_a and x_b, with D the slopes of the sight lines there. d = x_b - x_a and dD =
+    D_b - D_a give z = -(dD . d) / |dD|^2 and the error eps_Y = (dD_y d_x - dD_x d_y) / |dD|.
+    """
     found = matching.match(a, b, geometry.stereo_settings(pair))
     d = np.stack([found.u, found.v]) * np.float32(geometry.pixel)
     x, y = (v.astype(np.float32) for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))
@@ -85,8 +84,7 @@ def match_pair(
 
 
 def _sight_line(centre: Float, x: Float, y: Float) -> Float:
-    """Return the slope of the sight lines from a camera's centre to points x, y on z = 0, (2, ny, nx).
-    It is the horizontal displacement along x and y per unit of height."""
+    """Return the slope dx/dz, dy/dz of the sight lines from a centre to x, y on z = 0, (2, ny, nx)."""
     depth = np.float32(-centre[2])
     return np.stack([(x - np.float32(centre[0])) / depth, (y - np.float32(centre[1])) / depth])
 
@@ -113,10 +111,8 @@ def matched_pixels(
     geometry: GridGeometry,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Match points of still water in all cameras; return their pixels (column, row), (n, 2), by camera.
-    They serve to level a rig. Where a pair does not match, its second camera has NaN. `read(camera, frame)`
-    returns an image or None; `frames` are the numbers of the frames to read; `progress(done, count)` is
-    called after each. Raises CalibrationError if no frame is usable in all cameras."""
+    """Match points of still water in all cameras, to level a rig; return pixels (column, row), (n, 2).
+    NaN where a pair does not match. CalibrationError if none of the `frames` is usable in all cameras."""
     rig = geometry.rig
     cells = np.s_[::_STRIDE_BLOCKS, ::_STRIDE_BLOCKS]
     x, y = (v[cells] for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))

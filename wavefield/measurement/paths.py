@@ -43,15 +43,13 @@ _NOISE_CORRELATION = -0.2
 
 
 def elevation_gain(phase: Float, frames: int) -> Float:
-    """Return the gain of z, interpolated at mid-time from 2, 4 or 6 frames, for a wave.
-    `phase` is the angle by which the wave's phase turns per step, rad."""
+    """Return the gain of z from 2, 4 or 6 frames for a wave whose phase turns by `phase`, rad, per step."""
     weights = {2: (1.0,), 4: (9 / 8, -1 / 8), 6: (150 / 128, -25 / 128, 3 / 128)}[frames]
     return np.asarray(sum(w * np.cos((n + 0.5) * phase) for n, w in enumerate(weights)))
 
 
 def path_gain(phase: Float, frames: int) -> Float:
-    """Return the gain of velocities for a wave whose phase turns by the angle `phase`, rad, per step.
-    `frames` is a value of the variable `path_frames`: 2, 4, 6, or 7 for six frames with exact weights."""
+    """Return the gain of velocities along paths for a wave whose phase turns by `phase`, rad, per step."""
     own, *neighbours = PATH_WEIGHTS[frames]
     path = own + 2.0 * sum(w * np.cos(n * phase) for n, w in enumerate(neighbours, 1))
     return np.asarray(np.sinc(phase / (2.0 * np.pi)) * path)
@@ -60,10 +58,8 @@ def path_gain(phase: Float, frames: int) -> Float:
 def frame_weights(
     times: Float, frames: Sequence[int], smooth: bool = False, at: Float | float = 0.0
 ) -> tuple[Float, Float]:
-    """Return the weights of six frames for a value and for its rate of change at the time `at`.
-    Both are (6,) + the shape of `at`. They follow from the polynomial through the numbers `frames` of the
-    six; the weights of the others are 0. `times` (6,) and `at` are in frame intervals from mid-time. With
-    `smooth`, the rate is exact only for polynomials of degree four, but has less noise."""
+    """Return the weights of six frames for a value and for its rate of change at the time `at`, (6, ...).
+    They belong to the polynomial through the numbers `frames`; `smooth`: of degree four, with less noise."""
     used = list(frames)
     powers = np.vander(times[used], increasing=True).T
     shape, count = np.shape(at), len(used)
@@ -79,17 +75,13 @@ def frame_weights(
 
 
 def noise_of_displacements(weights: Float) -> Float:
-    """Return the weights (n, ...) of the noise variances of n displacements in the variance of a sum.
-    `weights` (n, ...) are the weights of the displacements, which are successive, in this sum. The
-    correlation of the noise of successive displacements, which share a frame, is included."""
+    """Return the factors (n, ...) on the noise variances of n successive displacements in a weighted sum."""
     padded = np.pad(weights, [(1, 1), *[(0, 0)] * (weights.ndim - 1)])
     return np.asarray(weights * (weights + _NOISE_CORRELATION * (padded[:-2] + padded[2:])))
 
 
 def place_weights(frames: int) -> tuple[Float, Float]:
-    """Return the times of the positions along a path, and their weights in the velocity at mid-time.
-    Times are in frame intervals from mid-time; the velocity is a displacement per interval. `frames` is the
-    kind of path, a value of the variable `path_frames`."""
+    """Return the times of the positions along an even path, and their weights in the velocity at mid-time."""
     later = -np.diff(PATH_WEIGHTS[frames], append=0.0)
     t = np.arange(2 * len(later)) - len(later) + 0.5
     return t, np.concatenate([-later[::-1], later])
@@ -106,8 +98,7 @@ def middle_row(sight: Sight) -> float:
 
 
 def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
-    """Return, by camera that measures z, the delay at which its rolling shutter sees the nodes, (ny, nx).
-    Delays are in frame intervals. z (ny, nx) is the elevation of the nodes, metres."""
+    """Return, by camera that measures z, the delay of its rolling shutter at the nodes, (ny, nx)."""
     out = {}
     for name in geometry.surface_cameras:
         sight = geometry.sights[name]
@@ -116,8 +107,7 @@ def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
 
 
 def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
-    """Return the mean over the cameras of `lateness`, (ny, nx), in frame intervals.
-    It is None without rolling shutters, and for a light sheet."""
+    """Return the mean of `lateness` over the cameras, (ny, nx); None for global shutters or a light sheet."""
     if not geometry.settings.row_delays or geometry.settings.sheet_thickness is not None:
         return None
     return np.asarray(np.mean(list(lateness(z, geometry).values()), axis=0))
@@ -125,8 +115,7 @@ def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
 
 def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float, Float]:
     """Return the errors that rolling shutters cause: of z (ny, nx), and in place (2, ny, nx), metres.
-    Camera n sees a point late by tau_n, so its apparent position is off by tau_n (d_xy - D_n d_z), with the
-    slope D_n of its sight line and the displacement per step d (3, ny, nx), metres."""
+    Camera n, late by tau_n, is off by tau_n (d_xy - D_n d_z), with its sight-line slope D_n; d per step."""
     late = lateness(z, geometry)
     mean = np.mean(list(late.values()), axis=0)
     shift, slope = {}, {}
@@ -157,9 +146,7 @@ _LOOSE = {"contract", "reassoc"}
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, int]:
-    """Return both spline coefficients c at the block nearest to x, y, and the flat index of this block.
-    x and y are in blocks; ny and nx are the numbers of blocks. The outermost blocks are left out. The
-    coefficients serve as a first guess of the displacement."""
+    """Return both spline coefficients c at the block nearest to x, y (in blocks), and its flat index."""
     i = np.int64(min(F(nx) - F(2), max(F(1), x + F(0.5))))  # max(1, NaN) is 1
     j = np.int64(min(F(ny) - F(2), max(F(1), y + F(0.5))))
     n: Any = j * nx + i
@@ -175,9 +162,7 @@ def _inside(nx: int, ny: int, x: Real, y: Real) -> bool:
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _lines(c: Float, first: np.uintp, down: np.uintp, w: Weights) -> Weights:
-    """Return, for four rows, the sum of four coefficients along x with the weights w.
-    c holds two components in turn; `first` is the index of the first coefficient, and `down` the distance
-    from a row to the next."""
+    """Return the sums of four coefficients along x, weighted by w, for four rows from index `first` on."""
     step = np.uintp(2)
     return (
         spline_line(c, first, step, w),
@@ -207,10 +192,8 @@ def displacement_at(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real,
 def _solve_near(
     c: Float, nx: int, ny: int, part: Real, x: Real, y: Real, u: Real, v: Real
 ) -> tuple[Real, Real, Real, Real, Weights]:
-    """Find the position p for which p + part f(p) = (x, y), by one Newton step, in blocks.
-    f is the displacement with the spline coefficients c (flat). The step starts at (x, y) - part (u, v), with
-    a guess u, v of f. Returns p and f(p), two numbers each, and the four derivatives of p with respect to x,
-    y, (1 + part grad f)^-1, row by row."""
+    """Find the position p for which p + part f(p) = (x, y), by one Newton step from (x, y) - part (u, v).
+    Returns p and f(p), with f the displacement of spline c, and the derivatives of p with respect to x, y."""
     px, py = x - part * u, y - part * v
     i, t = place_of(px, nx)
     j, s = place_of(py, ny)
@@ -240,9 +223,8 @@ def _read_path(
     out: Float,
     block: NDArray[np.int64],
 ) -> None:
-    """Compute the results of `read_path`, out (6, n) and block (5, n), for n pixels x, y.
-    Splines and masks of missing steps are empty. The weights (5, 2, 5, m) are those of `path_weights`, for
-    all pixels (m = 1) or for each (m = n)."""
+    """Compute the results of `read_path`, out (6, n) and block (5, n); arrays of missing steps are empty.
+    `weights` (5, 2, 5, m) are those of `path_weights`, for all pixels (m = 1) or for each (m = n)."""
     bb, b, c, a, aa = splines
     has_bb, has_b, has_a, has_aa = measured
     ny, nx = shape
@@ -320,18 +302,12 @@ def _read_path(
 def path_weights(times: Float = EVEN_TIMES, frames: int = 6, at: Float | float = 0.0) -> Float:
     """Return the weights (5, 2, 5, m) of five successive displacements along a path, at m times `at`.
 
-    Times are in frame intervals from mid-time. If `frames` is 6, paths through six frames are smooth, with
-    less noise; otherwise they are exact. The first axis stands for the frames that are there
-    (`FRAMES_OF_PATH`). The second axis has the weights for the way from the position in the step's first
-    frame to the position at `at`, and for the displacement per interval at `at`. The third axis is the
-    displacement.
-
-    Let X0 and X be the positions in the first frame and at mid-time, and d01 the displacement of the step.
-    The polynomial through four evenly spaced positions gives X0 = X - d01/2 + (d12 - d-10)/16 and
-    dX/dt dt = (26 d01 - d-10 - d12)/24. Through six positions, dX/dt dt is
-    (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48, which has 0.4 times the noise variance (frames = 6), or
-    (2134 d01 - 116 (d-10 + d12) + 9 (d-2-1 + d23))/1920, which is exact to the fifth degree (frames = 7); X0
-    is that of four.
+    Axes: frames that are there (`FRAMES_OF_PATH`); the way from the position in the step's first frame to
+    that at `at`, and the displacement per interval at `at`; displacement. Times are in frame intervals from
+    mid-time. With positions X0 and X in the first frame and at mid-time, four even positions give X0 = X -
+    d01/2 + (d12 - d-10)/16 and dX/dt dt = (26 d01 - d-10 - d12)/24. Six positions give dX/dt dt = (34 d01 +
+    10 (d-10 + d12) - 3 (d-2-1 + d23))/48 with 0.4 times the noise variance (frames = 6), or exactly to the
+    fifth degree (2134 d01 - 116 (d-10 + d12) + 9 (d-2-1 + d23))/1920 (frames = 7).
     """
     at = np.ravel(at)
     out = np.empty((5, 2, 5, at.size))
@@ -360,13 +336,11 @@ def read_path(
 ) -> tuple[Float, NDArray[np.int64]]:
     """Return the motion of the particles that are at pixels X, Y at mid-time, and the blocks read for it.
 
-    Returns (6,) + the shape of X, px: dX/dt dt at mid-time, the displacement over the step (chord), and the
-    mean position in the step's two frames minus that at mid-time (bend), each along X and Y. Also returns
-    the number of the block read in each of the five steps, (5,) + the shape of X, -1 where none was.
-
-    `splines` are coefficients (ny, nx, 2), px, of one, three or five steps in time order, None if missing;
-    `valid` (ny, nx) are their measured blocks. `weights` are those of `path_weights`, by default for even
-    times.
+    The motion, (6,) + the shape of X, px, is dX/dt dt at mid-time, the displacement over the step (chord),
+    and the mean position in the step's two frames minus that at mid-time (bend), each along X and Y. The
+    blocks are numbers in each of five steps, -1 if not read. `splines` are coefficients (ny, nx, 2), px, of
+    one, three or five steps, None if missing, with the measured blocks `valid`; `weights` come from
+    `path_weights`.
     """
     nodes = np.shape(X)
     weights = np.asarray(path_weights() if weights is None else weights, np.float32)
@@ -415,11 +389,8 @@ def displacements_at_nodes(
     times: Float = EVEN_TIMES,
     every: int = 1,
 ) -> CameraDisplacements:
-    """Read the displacement of particles in the images of the cameras `names`, for the nodes at mid-time.
-    `steps` are the displacements by camera of one, three or five steps around mid-time, None if missing; the
-    middle one must have all `names`. z (ny, nx), metres, is the elevation of all nodes at mid-time.
-    `path_frames` is the kind of path (`path_weights`), and `times` (6,) of the frames are in frame intervals
-    from mid-time. With `every` above 1, the result has only each so many-th node along x and y."""
+    """Read the displacement in the images of the cameras `names`, for the nodes at z (ny, nx) at mid-time.
+    `steps` are one, three or five steps around; with `every` above 1, each so many-th node along x and y."""
     z = z[::every, ::every]
     count, shape = len(names), z.shape
     jacobian = np.empty((2 * count, 3, *shape), np.float32)
@@ -454,10 +425,8 @@ def displacements_at_nodes(
 def _along_path(
     path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float, weights: Float
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
-    """Return what `read_path` returns for one camera at pixels X, Y, and two variances, px^2.
-    They are the variance of the displacement at mid-time due to noise, and that of suppressed waves, (1 or
-    2,) + the shape of X. `path` holds the displacements of successive steps, None if missing; the middle one
-    exists."""
+    """Return what `read_path` returns for one camera at pixels X, Y, and the variances of noise and of waves.
+    Both are in px^2; the waves are those that the prior suppresses. Missing steps of `path` are None."""
     here = path[len(path) // 2]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]
@@ -474,10 +443,8 @@ def _along_path(
 
 @compiled(error_model="numpy")
 def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: Float, out: Float) -> None:
-    """Write the variance due to noise of n displacements, each along a path, to out (c, n).
-    `noises` are the variances (c, blocks) of five steps. block (5, n) holds the indices of the blocks that
-    were read, -1 for steps that were not. `weights` (5, 5, m) are those of the variances: for each kind of
-    path in `FRAMES_OF_PATH`, for each step, and for all paths (m = 1) or each (m = n)."""
+    """Write the noise variance of n displacements along paths to out (c, n), from those of five steps.
+    `block` (5, n) are the blocks read, -1 if none; `weights` (5, 5, m) are by `FRAMES_OF_PATH` and step."""
     bb, b, c, a, aa = noises
     for k in range(block.shape[1]):
         before, after = block[1, k] >= 0, block[3, k] >= 0
@@ -496,8 +463,6 @@ def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: F
 
 
 def _places_read(block: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return the number of positions along each path, 2, 4 or 6.
-    `block` (5, ...) holds the blocks read in five steps, -1 where none was. Only complete pairs of steps, one
-    before and one after, count."""
+    """Return the number of positions along each path, 2, 4 or 6, from the blocks (5, ...), -1 if not read."""
     near, far = (block[[2 - n, 2 + n]] >= 0 for n in (1, 2))
     return np.asarray(2 + 2 * near.all(axis=0) + 2 * far.all(axis=0), np.uint8)

@@ -219,9 +219,7 @@ class _SampleStep:
         frames: tuple[Frames, Frames],
         masks: tuple[Masks, Masks],
     ) -> _SampleStep:
-        """Prepare the images of a step and match them, between cameras and in time.
-        `frames` and `masks` (True on pixels to ignore) are those of the first and the second frame, by
-        camera. `beads` are the widths of the beads by camera, raw px."""
+        """Prepare the images of a step's two frames and match them, between cameras and in time."""
         first, second = (images_of(*one) for one in zip(frames, [geometry] * 2, [beads] * 2, masks))
         found = {
             name: matching.match(first.raw[name], second.raw[name], geometry.settings.piv)
@@ -237,8 +235,7 @@ def _bead_widths(
     geometry: GridGeometry,
     pool: ThreadPoolExecutor,
 ) -> dict[str, float]:
-    """Return the median width of the beads by camera, raw px, over the first frames of the steps.
-    It is 0 for a texture and for a camera without a usable frame. `masks` are True on pixels to ignore."""
+    """Return the median width of the beads in the first frames, raw px; 0 for a texture."""
     out = {}
     for name in geometry.cameras:
         images = [(first.get(name), mask.get(name)) for (first, _), (mask, _) in zip(steps, masks)]
@@ -254,8 +251,7 @@ def _bead_widths(
 
 @dataclass(frozen=True)
 class _FieldSample:
-    """One field (elevation or displacement) of a sample step, from matching with a window.
-    Its functions compute the most probable (MAP) field, which depends on a learned spectrum."""
+    """One field (elevation or displacement) of a sample step, with functions that estimate it by a prior."""
 
     field: Float  # (c, ny, nx): the windowed field, holes filled
     information: float  # mean over the blocks that have any
@@ -269,8 +265,7 @@ class _FieldSample:
 
 
 def _without_holes(found: elevation.ElevationEstimate | FlowEstimate) -> tuple[Float, float]:
-    """Return the cosine coefficients of a MAP field and the mean information of its blocks outside holes.
-    The coefficients are scaled up to the variance of a field without holes."""
+    """Return the coefficients of a MAP field, scaled up for its holes, and its mean information outside."""
     known = float(np.mean(found.information > 0))
     if not known:
         return found.waves, 0.0
@@ -350,8 +345,7 @@ def _first_spectrum(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -
 
 
 def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: ThreadPoolExecutor) -> Prior:
-    """Return the prior with the spectrum of the MAP fields that it gives.
-    Before these fields are computed, the prior is raised to at least `ratio` of signal to noise."""
+    """Return the prior, first raised to `ratio` of signal to noise, with the spectrum of its MAP fields."""
     prior = prior.with_min_signal_to_noise(ratio)
     modes = Modes(prior, samples[0].field.shape[-2:])
     waves, information = zip(*pool.map(lambda one: one.estimate(modes), samples))
@@ -361,8 +355,7 @@ def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: 
 
 
 def _elevation_prior(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> tuple[Prior, float]:
-    """Learn the prior of the elevation; return it and the mean variance of scores per unit of Hessian.
-    The prior includes the fraction of its spectrum that is waves."""
+    """Learn the prior of z, with its fraction of waves, and the noise of scores per unit of Hessian."""
     prior = _first_spectrum(samples, pool)
     information, variance, epipolar, of_scores = _summary(samples, prior, pool)
     prior = replace(prior, information=information)
@@ -378,8 +371,7 @@ def _summary(samples: Sequence[_FieldSample], prior: Prior, pool: ThreadPoolExec
 
 
 def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel) -> Float | None:
-    """Return the elevation at the nodes, (ny, nx), metres, averaged over both frames of a step.
-    It is None if either frame cannot be measured."""
+    """Return the mean z (ny, nx), metres, of both frames of a step; None if one cannot be measured."""
     if step.pairs is None:
         first = elevation.surface(step.first.flat, geometry, model)
     else:
@@ -411,9 +403,7 @@ class _Differences:
 def _differences(
     geometry: GridGeometry, models: Mapping[str, FieldModel], step: _SampleStep, z: Float | None
 ) -> _Differences | None:
-    """Compare the cameras' displacements in one step, on the surface z (ny, nx), metres.
-    `models` are the estimators of the displacement by camera. It is None if z is None or the motion of the
-    water cannot be measured."""
+    """Compare the cameras' displacements in a step on the surface z (ny, nx), metres; None if impossible."""
     if z is None:
         return None
     found = {

@@ -34,8 +34,7 @@ _ROWS_AT_ONCE = 128  # rows of a rectified image: the part of the fine grid they
 def _double(
     image: NDArray[Any], first: int, scale: np.float32, rows: NDArray[Any], out: NDArray[Any]
 ) -> None:
-    """Write the quintic B-spline of an image at whole and half pixels to `out`.
-    out[0, 2 c] lies on pixel c of row `first`. `scale` is a factor on all values; `rows` is scratch."""
+    """Write the quintic B-spline of an image from row `first` on, times `scale`, at whole and half pixels."""
     h, w = image.shape
     # values of the spline at distances 0, 1, 2 (a) and 1/2, 3/2, 5/2 (b)
     a0, a1, a2 = np.float32(66 / 120), np.float32(26 / 120), np.float32(1 / 120)
@@ -84,8 +83,7 @@ def _double(
 
 
 def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
-    """Average squares of count x count pixels, for a camera that resolves more than its partners.
-    Returns an image (h // count, w // count). 8-bit images become 16-bit, times 64, to keep fractions."""
+    """Average squares of count x count pixels; 8-bit images become 16-bit, times 64, to keep fractions."""
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32)
     if count == 1:
@@ -108,8 +106,7 @@ def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
 
 @lru_cache(maxsize=8)
 def _weights(count: int) -> NDArray[np.float32]:
-    """Return the weights of `bin_pixels` along one axis, (3 count,), with sum 1.
-    They are a Gaussian with a standard deviation of count / 2 px, averaged over count px."""
+    """Return the weights along one axis, (3 count,): a Gaussian of count / 2 px averaged over count px."""
     x = np.arange(-count, count + 1)
     out = np.convolve(np.exp(-2.0 * np.square(x / count)), np.ones(count))
     return np.asarray(out / out.sum(), np.float32)
@@ -123,8 +120,7 @@ def _in(y: Any, h: int) -> Any:
 
 @compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def _bin(image: NDArray[Any], weights: NDArray[Any], count: int, half: np.float32, out: NDArray[Any]) -> None:
-    """Write weighted sums around every square of count x count pixels; the edge is repeated outwards.
-    `weights` (3 count,) apply along each axis; `half` is 0.5 to round to integers, 0 for floats."""
+    """Write sums weighted along each axis by `weights` (3 count,), plus `half`, around squares of pixels."""
     h, w = image.shape
     reach, wide = np.int64(count), np.int64(out.shape[1])
     line = np.empty(w + 2 * reach, np.float32)
@@ -162,9 +158,7 @@ def _type_of_double(image: NDArray[Any]) -> np.dtype[Any]:
 
 
 def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[NDArray[Any]]:
-    """Yield parts of an image on a grid twice as fine, one part for each (first, last) of `rows`.
-    Element (2 r, 2 c) of the fine grid lies on pixel (r, c). Each part overwrites the memory of the previous
-    one."""
+    """Yield parts of an image on a grid twice as fine, for each (first, last) of `rows`, in one memory."""
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
     image = np.ascontiguousarray(image)
@@ -179,10 +173,8 @@ def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[N
 
 
 def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, Float, NDArray[np.bool_]]:
-    """Return where a camera sees the points x (nx,), y (ny,), metres, of the plane z = 0.
-    The first two results are positions X, Y (ny, nx) in units of half a pixel, as `rectify` needs them. The
-    third (ny, nx) is True where the camera sees the point, at least three pixels (the reach of the spline)
-    from the edge of its image."""
+    """Return where a camera sees x (nx,), y (ny,), metres, on z = 0: X, Y (ny, nx), half pixels, and a mask.
+    The mask is True at least three pixels (the reach of the spline) from the edge of the image."""
     X, Y = camera.project(x[None, :], y[:, None], 0.0)
     w, h = camera.size
     margin = 3.0

@@ -70,8 +70,7 @@ def _push(coarse: Float, sums: Float, weight: Float, out: Float) -> None:
 
 
 def push_pull(fields: Float, valid: Mask) -> Float:
-    """Return fields (ny, nx, F), filled where `valid` (ny, nx) is False by means of surrounding values.
-    Where a hole is larger, the means are taken over larger squares."""
+    """Return fields (ny, nx, F), filled where `valid` is False by means over squares as large as needed."""
     levels: list[tuple[Float, Float]] = [(fields, valid.astype(np.float32))]
     while min(levels[-1][1].shape) > 1 and not levels[-1][1].all():
         ny, nx = ((n + 1) // 2 for n in levels[-1][1].shape)
@@ -86,9 +85,7 @@ def push_pull(fields: Float, valid: Mask) -> Float:
 
 
 def spline_prefilter(shape: tuple[int, int]) -> Float:
-    """Return factors (ny, nx) that turn the cosine coefficients of a field into those of its cubic spline.
-    The field is on a lattice `shape` (ny, nx). The factors are 1 / (b_x b_y), with b the gain of a cubic
-    B-spline at the blocks, along x and along y."""
+    """Return the factors (ny, nx) from the cosine coefficients of a field to those of its cubic spline."""
     ky, kx = (np.pi * np.arange(n) / n for n in shape)
     spline = ((2.0 + np.cos(ky)) / 3.0)[:, None] * ((2.0 + np.cos(kx)) / 3.0)
     return (1.0 / spline).astype(np.float32)
@@ -101,8 +98,7 @@ def interpolation_gain(q: Float) -> Float:
 
 
 def local_coefficients(fields: Float) -> Float:
-    """Cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), by a filter cut off after seven blocks.
-    The error is below 1e-3 of the field."""
+    """Cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), to 1e-3, by a filter of fifteen blocks."""
     pole = np.sqrt(3.0) - 2.0
     kernel = np.sqrt(3.0) * pole ** np.abs(np.arange(-7.0, 8.0))
     reflected = {"kernelX": kernel, "kernelY": kernel, "borderType": cv2.BORDER_REFLECT}
@@ -139,9 +135,8 @@ def spline_line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights, wy: Weights) -> np.float32:
-    """Return the value of a spline from 4 x 4 of its coefficients c (flat); the first has the index k.
-    `step` and `down` are the distances in c between neighbours along x and along y; wx, wy are the
-    weights."""
+    """Return the value of a spline from 4 x 4 of its coefficients c (flat), the first at index k.
+    `step` and `down` are the distances in c between neighbours along x and y; wx, wy are the weights."""
     return (
         wy[0] * spline_line(c, k, step, wx)
         + wy[1] * spline_line(c, k + down, step, wx)
@@ -152,8 +147,7 @@ def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def place_of(p: float, n: int) -> tuple[int, np.float32]:
-    """Split a position p, in blocks, into the number of a block and the distance from there, 0 to 1.
-    The position is first limited to the interior of the n blocks, one block from either end."""
+    """Split a position in blocks, limited to one block from either end of n, into block and rest (0 to 1)."""
     lowest, highest = np.float32(1.0), np.float32(n) - np.float32(2.001)
     q = min(max(np.float32(p), lowest), highest)
     i: Any = np.int32(max(lowest, q))  # max(lowest, NaN) is lowest
@@ -171,10 +165,8 @@ def _read_along_lines(
     height: Float,
     out: Float,
 ) -> None:
-    """Write to out (n,) the elevation that a spline has on the sight lines through n points.
-    The spline is read where the sight lines from the camera at `centre` through the points x, y, `height`
-    meet the plane z = 0. c are its coefficients (flat), `shape` (ny, nx) the lattice, and `lattice` the x, y
-    of its first block and the reciprocal of its step."""
+    """Write to out (n,) the spline where the sight lines from `centre` through x, y, `height` meet z = 0.
+    c (flat) are the coefficients on a lattice `shape`; `lattice` is x, y of its first block and 1 / step."""
     x0, y0, across = lattice
     cx, cy, cz = centre
     ny, nx = shape
@@ -222,10 +214,8 @@ def _read_surface(
 def read_surface(
     spline: Float, lattice: BlockLattice, centre: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
 ) -> Float:
-    """Return the elevation, (ny, nx), metres, at places x, y (ny, nx) on the water, from a spline.
-    The spline coefficients belong to apparent positions: the points x_a where sight lines of the reference
-    camera meet z = 0. The function solves x = x_a + D_a(x_a) z(x_a) for x_a, with D the slope of the sight
-    lines. With the camera's `centre` c, that is x_a = c + (x - c) / (1 - z / c_z)."""
+    """Return the elevation (ny, nx), m, at places x, y on the water, from a spline in apparent positions.
+    It solves x = x_a + D_a z(x_a), or x_a = c + (x - c) / (1 - z / c_z), with the camera's `centre` c."""
     out = np.empty(x.shape, np.float32)
     place = lattice.x0, lattice.y0, 1.0 / lattice.step
     camera = float(centre[0]), float(centre[1]), float(centre[2])
@@ -237,10 +227,8 @@ def read_surface(
 def blocks_below(
     lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the flat index of the block in which a camera sees each point x, y, z, and a mask.
-    The points (ny, nx) are in metres; `centre` (3,) is that of the camera. The block is the one nearest to
-    where the sight line meets z = 0, but never one at the edge of the lattice. The mask is True where that
-    place lies inside the lattice. Both results are (ny, nx)."""
+    """Return the flat index of the block in which a camera sees each point, none at the edge, and a mask.
+    Points x, y, z (ny, nx) and the camera's `centre` are in metres; the mask is True on the lattice."""
     shrink = 1.0 / (1.0 - z / centre[2])
     row, column = (
         (c + (at - c) * shrink - first) / lattice.step

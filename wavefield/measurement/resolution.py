@@ -22,10 +22,8 @@ WAVENUMBERS = 200  # wavenumbers in the stored table, up to the diagonal Nyquist
 
 
 def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str, Float]:
-    """Return the table of amplitude gains that is stored with a cube, by the names of its variables.
-    ``gain_z``, ``gain_u``, ``gain_v`` and ``gain_w`` (8, 200) belong to ``direction`` (8,), rad, over half a
-    turn, and to wavenumbers ``k`` (200,), rad/m. They are NaN without a record; ``gain_z`` also for a light
-    sheet."""
+    """Return the table of gains that is stored with a cube: ``gain_z``, ``gain_u``, ... (8, 200).
+    They belong to ``direction`` (8,), rad, over half a turn, and ``k`` (200,), rad/m; NaN if unknown."""
     k = np.linspace(0, np.sqrt(2) * np.pi / geometry.grid.step, WAVENUMBERS)
     direction = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     unknown = np.full((DIRECTIONS, WAVENUMBERS), np.nan)
@@ -68,8 +66,7 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
 
 
 def shortest_carried(geometry: GridGeometry, record: LearnedRecord) -> dict[str, float]:
-    """Return the wavelengths, metres, at which the gains of z, u, v and w fall to one half.
-    Gains are averaged over directions. If a gain is never below one half, the result is two grid steps."""
+    """Return the wavelengths, m, at which the gains fall to one half on average, or else two grid steps."""
     k = np.linspace(0.0, np.pi / geometry.grid.step, 600)
     angle = np.arange(8)[:, None] * np.pi / 8
     kx, ky = k * np.cos(angle), k * np.sin(angle)
@@ -87,8 +84,7 @@ def gain_of_elevation(geometry: GridGeometry, record: LearnedRecord, kx: Float, 
 
 
 def gain_of_velocity(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
-    """Return the matrices from true to measured displacements (dx, dy, dz), averaged over the grid.
-    The result has the shape of the wavenumbers kx, ky, rad/m, plus (3, 3)."""
+    """Return matrices from true to measured dx, dy, dz, averaged over the grid, (..., 3, 3)."""
     x, y = (np.linspace(*side, 2 * PLACES + 1)[1::2] for side in (geometry.grid.x, geometry.grid.y))
     gains = [_gain_of_velocity_at(place, geometry, record, kx, ky) for place in product(x, y)]
     return np.asarray(np.mean(gains, axis=0))
@@ -112,8 +108,6 @@ def _gain_of_velocity_at(
 
 
 def _gain_between_blocks(prior: Prior, qx: Float, qy: Float) -> Float:
-    """Return the gain of a MAP field that is interpolated between blocks.
-    The component is the first axis of the result; the others are those of the wavenumbers qx, qy, rad per
-    block."""
+    """Return the gain (component, ...) of a MAP field between blocks, at qx, qy, rad per block."""
     gain: Float = prior.gain(qx, qy)
     return gain * interpolation_gain(qx) * interpolation_gain(qy)

@@ -256,13 +256,8 @@ MIN_FRACTION_AT_BORDER = 0.01  # fraction of the nodes there at which the range 
 
 
 def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
-    """Return whether more than 1 % of the elevations z (ny, nx), metres, lie at an end of a range.
+    """Return whether more than 1 % of the elevations z lie within 3 % of an end of a range, or beyond.
 
-    The range `searched` is (lowest, highest). At an end means within 3 % of the range from it, or beyond. NaN
-    does not count.
-
-    Examples
-    --------
     >>> at_border(np.array([[0.01, 0.099], [np.nan, 0.02]]), (-0.1, 0.1))
     True
     """

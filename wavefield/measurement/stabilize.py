@@ -79,8 +79,7 @@ class SteadyFrames(Sequence["Array | None"]):
 
 
 def corrected(images: Images, geometry: GridGeometry) -> dict[str, Array | None]:
-    """Return the raw images (row, column) of one instant, corrected for shaking, by camera.
-    All are unchanged if the shift cannot be determined, as when a camera has no usable frame."""
+    """Return the raw images of one instant, corrected for shaking; unchanged if that cannot be determined."""
     out = dict(images)
     for name, shift in _shifts(images, geometry).items():
         image = images[name]
@@ -90,10 +89,8 @@ def corrected(images: Images, geometry: GridGeometry) -> dict[str, Array | None]
 
 
 def _shifts(images: Images, geometry: GridGeometry) -> dict[str, Array]:
-    """Measure how far each camera's image is shifted across the sight lines, in rectified px.
-    A shift has three numbers: its value in the middle of the field, and its change from there to the right
-    edge and to the upper edge. The median over the cameras is subtracted. The result is empty if a camera has
-    no usable frame or too few blocks match."""
+    """Return each camera's shift across the sight lines minus their median, rectified px; empty if unknown.
+    A shift (3,) is the value in the middle and its changes to the right and to the upper edge."""
     flat = {}
     for name in geometry.surface_cameras:
         image = images.get(name)
@@ -123,16 +120,14 @@ def _linear(x: Array, y: Array) -> Array:
 
 
 def _huber(residual: Array) -> Array:
-    """Return the square roots of Huber's weights of residuals.
-    Weights are below 1 for residuals beyond two robust standard deviations."""
+    """Return the square roots of Huber's weights, below 1 for residuals beyond two robust deviations."""
     miss = np.abs(residual)
     bound = 2.0 * (PER_MEDIAN * np.median(miss) + 1e-9)
     return np.asarray(np.sqrt(np.minimum(1.0, bound / np.maximum(miss, 1e-12))))
 
 
 def _across(geometry: GridGeometry, pair: tuple[str, str], x: Any, y: Any) -> Array:
-    """Return unit vectors (2, ...) across the sight lines of a pair of cameras, at x, y on z = 0, metres.
-    The epipolar error eps_y of the pair (a, b) is the component of x_b - x_a along them."""
+    """Return unit vectors (2, ...) across the sight lines of a pair at x, y, m, the direction of eps_y."""
     dx, dy = parallax(geometry.rig, pair, x, y)
     return np.asarray(np.stack([-dy, dx]) / np.maximum(np.hypot(dx, dy), 1e-12))
 

@@ -183,10 +183,8 @@ def _fill_step(
     frame_rate: float,
     times: Float,
 ) -> None:
-    """Measure one step and write its fields and its status into the arrays of `out`.
-    `window` holds the six instants around the step, and `moves` the displacements of the steps between them.
-    `times` (6,) are in frame intervals from mid-time. Nodes that are masked or outside a camera's view stay
-    NaN, and so do all nodes if too few are measured."""
+    """Measure one step from six instants and the displacements between them; write its fields into `out`.
+    `times` (6,) are in frame intervals from mid-time. Nodes that are masked or not in view stay NaN."""
     _, before, first, second, after, _ = window
     missing = first.images.missing | second.images.missing
     out["quality"] |= _left_out_bits(missing, geometry)
@@ -239,8 +237,7 @@ def _out_of_range(surfaces: Surfaces, geometry: GridGeometry) -> Mask:
 
 
 def _quality(estimate: StepEstimate, out_of_range: Mask) -> NDArray[np.uint16]:
-    """Return the bits of `Quality` of a step, (ny, nx), except those for masked or invisible nodes.
-    `out_of_range` (ny, nx) is a mask of nodes whose elevation lies outside the search range."""
+    """Return the bits of `Quality` of a step, (ny, nx), except those for masked or invisible nodes."""
     first, second = estimate.nearest
     quality = first.quality | second.quality | estimate.motion.quality
     quality[out_of_range] |= np.uint16(Quality.REJECTED_RANGE | Quality.FILLED)
@@ -258,8 +255,7 @@ def _fields(
     frame_rate: float,
     times: Float,
 ) -> dict[str, Float]:
-    """Return the fields of a step by name, (ny, nx), in the cube's units, and `uncertainty_terms`.
-    The latter are (terms, 4, ny, nx). `times` (6,) of the frames are in frame intervals from mid-time."""
+    """Return the fields of a step by name, (ny, nx), in the cube's units, and `uncertainty_terms`."""
     first, second = estimate.nearest
     motion, z, rise = estimate.motion, estimate.mid_time.z, estimate.mid_time.rise
     d = motion.d.copy()
@@ -310,8 +306,7 @@ class Instant:
 def measure_instant(
     frames: Frames, geometry: GridGeometry, model: Model, masks: Masks | None = None
 ) -> Instant:
-    """Measure the elevation of one instant, and prepare its images for matching in time.
-    `frames` are raw images by camera, None if missing; `masks` are True on pixels to ignore."""
+    """Measure the elevation of one instant from raw frames, and prepare its images for matching in time."""
     masks = masks or {}
     covered = covered_in(masks, geometry)
     ready_frames = usable_frames(frames, geometry, dict(model.record.beads), masks)
@@ -328,9 +323,7 @@ def estimate_step(
     times: Float,
 ) -> StepEstimate | None:
     """Estimate elevation and motion of a step, without a camera that contradicts the others.
-    `window` holds the six instants around the step, and `moves` the displacements of the steps between them.
-    `times` (6,) of the frames are in frame intervals from mid-time. The result is None if it cannot be
-    measured."""
+    `window` are the six instants around, `moves` the displacements between them. None if not measurable."""
     surfaces: Surfaces = [instant.surface for instant in window]
     estimate = _estimate(surfaces, moves, geometry, model.record.path_frames, times)
     if estimate is None:
@@ -356,8 +349,7 @@ def _estimate(
     may_leave_out: bool = True,
 ) -> StepEstimate | None:
     """Estimate elevation and motion at mid-time; None if fewer than two cameras have displacements.
-    With rolling shutters, both are computed again, because the correction of each depends on the other. If
-    `may_leave_out` is True, a camera that contradicts the others is left out of the motion."""
+    With rolling shutters both are computed again, because the correction of each depends on the other."""
     first, second = surfaces[AROUND : AROUND + 2]
     assert first is not None
     assert second is not None
@@ -383,9 +375,7 @@ def _estimate(
 
 
 def _departure(orders: Sequence[Float], frames: NDArray[np.uint8]) -> float:
-    """Return the robust variance, over the nodes, of z from six frames minus z from four, m^2.
-    `orders` are the elevations and `frames` (ny, nx) the numbers of frames from `z_at_mid_time`. The result
-    is 0 without six frames."""
+    """Return the robust variance, over the nodes, of z from six frames minus z from four, m^2; else 0."""
     return robust_std((orders[0] - orders[1])[frames == 6]) ** 2 if len(orders) > 2 else 0.0
 
 

@@ -39,9 +39,8 @@ def _row(jacobian: Float, i: int, k: int) -> tuple[Any, Any, Any]:
 
 @njit
 def _factored(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Matrix:
-    """Factorise the matrix of normal equations [[a, b, c], [b, d, e], [c, e, f]] as L D L^T.
-    Returns 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1, with the pivots a, d1, f1. The last is NaN if the cameras do not
-    determine all three directions."""
+    """Factorise [[a, b, c], [b, d, e], [c, e, f]] as L D L^T, with the pivots a, d1, f1.
+    Returns 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1; the last is NaN if the cameras do not determine all."""
     lb, lc = b / a, c / a
     d1, e1 = d - b * lb, e - b * lc
     le = e1 / d1
@@ -73,11 +72,12 @@ def solve_nodes(
     out: Float,
 ) -> None:
     """Solve for the motion of the water at n nodes, seen by N cameras, and write it to out (16, n).
-    The rows of `out` are, in threes, the displacement d at mid-time, the chord, the bend, and the variance of
-    d due to noise. One row each follows: the variance of suppressed waves over `parts`; the misfit |J d -
-    moved| / sqrt(2N); chi^2 per degree of freedom; and the factor, at least 1, by which chi^2 enlarges the
-    noise. The fields are float32: `jacobian` J is (2N, 3, n), `moved`, `chord`, `bend`, `noise` and `missing`
-    are (2N, n), as in `CameraDisplacements`. `parts` (3,) and `axes` (N, 3) are float64."""
+
+    Rows in threes: displacement d at mid-time, chord, bend, variance of d due to noise. Then one row each:
+    variance of suppressed waves over `parts` (3,); misfit |J d - moved| / sqrt(2N); chi^2 per degree of
+    freedom; the factor (at least 1) by which chi^2 enlarges the noise. `jacobian` is (2N, 3, n), the other
+    fields are (2N, n), float32, as in `CameraDisplacements`.
+    """
     rows, n = moved.shape
     weight = np.empty(rows)
     for k in range(n):
@@ -173,15 +173,10 @@ def velocity(
 ) -> Motion | None:
     """Compute the motion of the water at the nodes at mid-time, by least squares over the cameras.
 
-    It is None if fewer than two cameras have displacements. The motion d minimises sum w (J d - dX)^2, with w
-    the weights, J the 2N x 3 Jacobian of N cameras on the surface z (ny, nx), metres, at mid-time, and dX the
-    image velocity per step there (`read_path`). dX/dt = J dx/dt is exact, whereas finite displacements would
-    need the curvature of the projection. The rms misfit is eps' = |J d - dX| / sqrt(2N).
-
-    The noise of the cameras is independent. The waves that the prior suppresses are the same in all cameras,
-    so averaging does not reduce their variance; it is divided among the components
-    (`component_variances`). A camera that contradicts the others is left out if `may_leave_out`. `steps` are
-    the displacements of one, three or five steps; `times` of the six frames are in intervals from mid-time.
+    The motion d minimises sum w |J d - dX|^2: w are the weights, J the 2N x 3 Jacobian of N cameras on the
+    surface z (ny, nx), metres, and dX the image velocity per step (`read_path`), for which J d = dX is exact.
+    Noise of the cameras is independent; waves that the prior suppresses are the same in all. A camera that
+    contradicts the others is left out if `may_leave_out`. None if fewer than two cameras have displacements.
     """
     names = _cameras(steps)
     if len(names) < 2:
@@ -216,8 +211,7 @@ def mean_flow(
     times: Float = EVEN_TIMES,
 ) -> tuple[float, float] | None:
     """Return the median displacement (dx, dy) of the water over a step, metres, from some of the nodes.
-    It is None if fewer than two cameras have displacements, and 0 if no node was measured. The arguments are
-    those of `velocity`."""
+    It is 0 if no node was measured, None if fewer than two cameras have displacements."""
     names = _cameras(steps)
     if len(names) < 2:
         return None
@@ -236,9 +230,7 @@ def _cameras(steps: Sequence[Flows | None]) -> list[str]:
 
 
 def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
-    """Compute the motion of the water by least squares over all cameras of `displacements`.
-    `parts` (3,) are the relative variances of u, v, w (`component_variances`) in the waves that the prior
-    suppresses."""
+    """Compute the motion of the water by least squares; `parts` (3,) are the `component_variances`."""
     names = ("jacobian", "moved", "chord", "bend", "noise", "missing")
     fields = {name: np.ascontiguousarray(getattr(displacements, name), np.float32) for name in names}
     flat = [f.reshape(*f.shape[:-2], -1) for f in fields.values()]
@@ -266,13 +258,11 @@ def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
 
 
 def component_variances(settings: Settings) -> Float:
-    """Return the relative variances (3,) of u, v, w in motion that the prior suppresses.
-    They are those of deep-water waves, or equal for a light sheet."""
+    """Return the relative variances (3,) of u, v, w in waves that the prior suppresses; equal in a sheet."""
     return WAVE_VARIANCES if settings.sheet_thickness is None else np.ones(3)
 
 
 def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:
-    """Return the variance, px^2, that motion of the water causes in each camera's image, (N, ny, nx).
-    `parts` (3,) are the variances of dx, dy, dz, m^2. The result is the mean over both image components."""
+    """Return the variance, px^2, in each image (N, ny, nx), of motion with variances `parts` (3,), m^2."""
     square = np.einsum("kiyx,i->kyx", np.square(displacements.jacobian), parts)
     return np.asarray(0.5 * (square[::2] + square[1::2]))
