@@ -31,14 +31,9 @@ def gaussian(sigma: float) -> np.ndarray:
     return out
 
 
-def window_sigma(window: float) -> float:
-    """Return the standard deviation, blocks, of the Gaussian with the area of a square of side `window` px."""
-    return float(window / np.sqrt(4 * np.pi) / BLOCK)
-
-
 def window_weights(window: float) -> np.ndarray:
-    """Return the weights over blocks, along one axis, of the Gaussian window for the setting `window`, px."""
-    return gaussian(window_sigma(window))
+    """Return the weights over blocks, on one axis, of the Gaussian with the area of a square `window` px."""
+    return gaussian(float(window / np.sqrt(4 * np.pi) / BLOCK))
 
 
 def filtered(field: np.ndarray, weights: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:

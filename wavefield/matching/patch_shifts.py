@@ -27,36 +27,29 @@ def widened(ends: tuple[float, float]) -> tuple[float, float]:
 def shifts(
     a: Float, b: Float, side: int = PATCH_PX, reach: tuple[int, int] = (REACH_PX, REACH_PX)
 ) -> NDArray[np.float64]:
-    """Find the displacements of large patches from image a to image b, both (h, w).
-    A patch is a square of `side` px, or less in small images; `reach` (x, y) is the largest displacement that
-    is searched, px. Returns (n, 5), one row for each patch with contrast: displacement x and y, px (NaN if
-    not found), correlation, and the x and y of the patch's centre, px. Displacements are multiples of 2 px,
-    or of 1 px in small images. The result is empty for images below 64 px."""
+    """Find the displacements of large patches from image a to image b, up to `reach` (x, y), px.
+
+    A patch is a square of `side` px, or less in small images. Returns (n, 4), one row for each patch with
+    contrast: displacement x and y (multiples of 2 px in large images; NaN if not found), and the x and y of
+    the patch's centre, all in px. The result is empty for images below 64 px.
+    """
     a, b = (np.asarray(image, np.float32) for image in (a, b))
     height, width = a.shape
     size = min(side, height // 4, width // 4)
     if size < 16:
-        return np.zeros((0, 5))
-    rows = np.linspace(0, height - size, PATCHES_ACROSS).astype(int)
-    columns = np.linspace(0, width - size, PATCHES_ACROSS).astype(int)
-    contrast = float(a.std())
+        return np.zeros((0, 4))
+    contrast = 0.2 * float(a.std())
     # large patches are searched for in images of half the size
-    small_a, small_b = _half(a), _half(b)
+    scale, least = (1, MIN_CORRELATION_SMALL) if size < PATCH_PX else (2, MIN_CORRELATION)
+    one, other = (image if scale == 1 else _half(image) for image in (a, b))
+    near = reach[0] // scale, reach[1] // scale
     out = []
-    for y in rows.tolist():
-        for x in columns.tolist():
-            patch = a[y : y + size, x : x + size]
-            if not float(patch.std()) > 0.2 * contrast:
-                continue
-            middle = x + 0.5 * (size - 1), y + 0.5 * (size - 1)
-            if size < PATCH_PX:
-                found = _found(a, b, (x, y), size, reach, MIN_CORRELATION_SMALL)
-            else:
-                half = (x // 2, y // 2), size // 2, (reach[0] // 2, reach[1] // 2)
-                dx, dy, correlation = _found(small_a, small_b, *half)
-                found = 2.0 * dx, 2.0 * dy, correlation
-            out.append((*found, *middle))
-    return np.array(out, float).reshape(-1, 5)
+    for y in np.linspace(0, height - size, PATCHES_ACROSS).astype(int).tolist():
+        for x in np.linspace(0, width - size, PATCHES_ACROSS).astype(int).tolist():
+            if float(a[y : y + size, x : x + size].std()) > contrast:
+                dx, dy = _found(one, other, (x // scale, y // scale), size // scale, near, least)
+                out.append((scale * dx, scale * dy, x + 0.5 * (size - 1), y + 0.5 * (size - 1)))
+    return np.array(out, float).reshape(-1, 4)
 
 
 def _half(image: Float) -> Float:
@@ -75,25 +68,18 @@ def _correlations(patch: Float, around: Float) -> Float:
 
 
 def _found(
-    a: Float,
-    b: Float,
-    at: tuple[int, int],
-    size: int,
-    reach: tuple[int, int],
-    min_correlation: float = MIN_CORRELATION,
-) -> tuple[float, float, float]:
-    """Return the displacement x and y of a patch of image a in image b, px, and the correlation there.
-    The patch is a square of `size` px that begins at column and row `at`. The displacement is NaN if no
-    correlation within `reach` (x, y), px, is above `min_correlation`, or if two are about equal."""
+    a: Float, b: Float, at: tuple[int, int], size: int, reach: tuple[int, int], least: float
+) -> tuple[float, float]:
+    """Return the displacement of the patch of image a at column and row `at` in image b, px.
+    It is NaN if no correlation within `reach` (x, y), px, is above `least`, or if two are about equal."""
     x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
     patch = a[at[1] : at[1] + size, at[0] : at[0] + size]
     correlations = _correlations(patch, b[y0 : at[1] + size + reach[1], x0 : at[0] + size + reach[0]])
     _, best, _, (column, row) = cv2.minMaxLoc(correlations)
-    rest = correlations.copy()
-    rest[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4] = -1.0
-    if not best > min_correlation or rest.max() > MAX_SECOND_BEST * best:
-        return np.nan, np.nan, float(best)
-    return float(x0 + column - at[0]), float(y0 + row - at[1]), float(best)
+    correlations[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4] = -1.0
+    if not best > least or correlations.max() > MAX_SECOND_BEST * best:
+        return np.nan, np.nan
+    return float(x0 + column - at[0]), float(y0 + row - at[1])
 
 
 def locate(patch: Float, around: Float) -> tuple[float, float, float]:
