@@ -7,12 +7,11 @@ Gauss-Newton steps on every level. `_assess` then decides which blocks are valid
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
-from wavefield.compiled import compiled
 from wavefield.errors import FrameError
 from wavefield.matching.blocks import (
     RELAXATION,
@@ -32,7 +31,6 @@ from wavefield.matching.blocks import (
 from wavefield.matching.kernels import (
     BLOCK,
     F,
-    WorkSpace,
     bead_scores,
     final_sums,
     plain_sums,
@@ -50,8 +48,6 @@ MAX_STEP = 1.5  # px: longest step along each axis
 # px^2: variance of the area that a block averages over, for beads of 1.5 px; displacement gradients depend
 # little on it
 _TYPICAL_AREA = displacement_area(1.5) - RESTORED_VARIANCE
-
-njit = compiled(error_model="numpy")
 
 
 def match(
@@ -188,24 +184,24 @@ class _LevelPair:
             self._hessian = self.windows(self.a.moments[:3] * self.count)
         return self._hessian
 
-    def windows(self, fields: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+    def windows(self, fields: np.ndarray) -> np.ndarray:
         """Average each of the fields (n, ny, nx) over Gaussian windows, and return (n, ny, nx)."""
-        out = np.empty_like(fields) if out is None else out
+        out = np.empty_like(fields)
         for field, to in zip(fields, out):
             filtered(field, self.weights, to)
         return out
 
     def advance(
-        self, u: np.ndarray, v: np.ndarray, hessian: np.ndarray, score: np.ndarray, number: int
+        self, u: np.ndarray, v: np.ndarray, score: np.ndarray, number: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Take one Gauss-Newton step, replace outliers and smooth; return new u, v and the mask of outliers.
-        `hessian` and `score` are those of windows; `number` counts the steps of this level from 0."""
-        settings = self.settings
+        `score` is that of windows; `number` counts the steps of this level from 0."""
+        hessian = self.hessian
         u, v = u.copy(), v.copy()
         ridge = F(RIDGE_FRACTION) * F(hessian[0].mean() + hessian[2].mean()) + F(1e-12)
         step(hessian, score, ridge, F(RELAXATION), F(MAX_STEP), u, v)
         # after the first step of a level, the displacement may still be far off
-        outlier = replace_outliers(u, v, settings.max_deviation * (2 if number == 0 else 1))
+        outlier = replace_outliers(u, v, self.settings.max_deviation * (2 if number == 0 else 1))
         u, v = (smoothed(f, self.sigma, SMOOTHER_ORDER, self.weighting) for f in (u, v))
         return u, v, outlier
 
@@ -215,13 +211,13 @@ def _slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return slopes(u, v, _TYPICAL_AREA)
 
 
-def _last_sums(
-    a: Level, b: Level, u: np.ndarray, v: np.ndarray, slope: np.ndarray, work: WorkSpace
-) -> np.ndarray:
+def _last_sums(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Return the sums of `final_sums`, (12, ny, nx), with the Hessian of image a in planes 2 to 4."""
+    pair.update_weights(u, v)
     sums = np.empty((12, *u.shape), np.float32)
-    final_sums(a.padded, b.padded, u, v, slope, work, sums)
-    sums[2:5] = a.moments[:3]
+    final_sums(pair.a.padded, pair.b.padded, u, v, slope, pair.work, sums)
+    sums[2:5] = pair.a.moments[:3]
+    sums *= pair.count
     return sums
 
 
@@ -229,34 +225,21 @@ def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> 
     """Take `count` Gauss-Newton steps from u, v (ny, nx), px; return u, v. Blocks are not assessed."""
     for number in range(count):
         pair.update_weights(u, v)
-        score = pair.windows(_plain_scores(pair, u, v, _slopes(u, v)))
-        u, v, _ = pair.advance(u, v, pair.hessian, score, number)
+        sums = np.empty((2, *u.shape), np.float32)
+        plain_sums(pair.a.padded, pair.b.padded, u, v, pair.work, sums)
+        subtract_slopes(sums, pair.a.moments, _slopes(u, v))
+        sums *= pair.count
+        score = pair.windows(sums)
+        u, v, _ = pair.advance(u, v, score, number)
     return u, v
-
-
-def _plain_scores(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Return the scores of the blocks, (2, ny, nx), for u, v with these slopes; 0 if not usable."""
-    sums = np.empty((2, *u.shape), np.float32)
-    plain_sums(pair.a.padded, pair.b.padded, u, v, pair.work, sums)
-    subtract_slopes(sums, pair.a.moments, slope)
-    sums *= pair.count
-    return sums
 
 
 def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displacement:
     """Take `count` Gauss-Newton steps on the finest level, from u, v (ny, nx), px, and assess the blocks."""
-    a, b = pair.a, pair.b
-    u, v = _plain_steps(pair, u, v, count - 1)
-    pair.update_weights(u, v)
-    sums = _last_sums(a, b, u, v, _slopes(u, v), pair.work)
-    sums *= pair.count
-    windowed = np.empty_like(sums)
-    pair.windows(sums[:2], windowed[:2])
-    pair.windows(sums[5:], windowed[5:])
-    before = u, v
-    u, v, outlier = pair.advance(u, v, pair.hessian, windowed[:2], count - 1)
-    last = _LastStep(sums, windowed, pair.coverage, u - before[0], v - before[1], outlier)
-    return _assess(a, b, u, v, last, pair.settings)
+    before_u, before_v = _plain_steps(pair, u, v, count - 1)
+    sums = _last_sums(pair, before_u, before_v, _slopes(before_u, before_v))
+    u, v, outlier = pair.advance(before_u, before_v, pair.windows(sums[:2]), count - 1)
+    return _assess(pair, u, v, sums, np.stack([u - before_u, v - before_v]), outlier)
 
 
 def reevaluate(
@@ -271,15 +254,11 @@ def reevaluate(
     a_jk, with 0 < c < 1, is fitted to the scores and subtracted.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
-    pair.update_weights(u, v)
     slope = _slopes(u, v)
-    sums = _last_sums(pair.a, pair.b, u, v, slope, pair.work)
-    sums *= pair.count
+    sums = _last_sums(pair, u, v, slope)
     subtract_strain(sums[:2], pair.a.strain, slope, pair.count)
-    none, windowed = np.zeros(u.shape, np.float32), np.empty_like(sums)
-    pair.windows(sums[5:], windowed[5:])  # no step is taken
-    last = _LastStep(sums, windowed, pair.coverage, none, none, none > 0)
-    return _assess(pair.a, pair.b, u, v, last, settings)
+    no_step = np.zeros((2, *u.shape), np.float32)
+    return _assess(pair, u, v, sums, no_step, no_step[0] > 0)
 
 
 def scores_at(
@@ -325,32 +304,13 @@ def _search(
     return smoothed(u, 1.0, 1), smoothed(v, 1.0, 1)
 
 
-@njit
-def _largest(correlation: np.ndarray, border: int, best: np.ndarray) -> None:
-    """Write to best (ny, nx), for each block, the index of the shift with the largest correlation.
-    `correlation` is (row shifts, ny, column shifts, nx + 2 border). The index is that of the row shift times
-    the number of column shifts, plus that of the column shift. Among equal correlations the first counts."""
-    rows, ny, n, width = correlation.shape
-    nx = width - 2 * border
-    top = np.empty(nx, np.float32)
-    for j in range(ny):
-        for i in range(nx):  # copying a slice instead takes five seconds more to compile
-            top[i], best[j, i] = correlation[0, j, 0, border + i], np.int32(0)
-        for dy in range(rows):
-            for k in range(n):
-                middle = correlation[dy, j, k, border : border + nx]
-                for i in range(nx):
-                    larger = middle[i] > top[i]
-                    best[j, i] = np.int32(dy * n + k) if larger else best[j, i]
-                    top[i] = middle[i] if larger else top[i]
-
-
 def _peaks(correlation: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the shift u, v (ny, nx), px, of largest correlation of each block, refined by parabolas.
     `correlation` is (row shifts, ny, column shifts, nx + 2 border), from first_x, first_y on."""
     rows, ny, n, width = correlation.shape
-    best = np.empty((ny, width - 2 * border), np.int32)
-    _largest(correlation, border, best)
+    nx = width - 2 * border
+    by_block = correlation[..., border : border + nx].transpose(1, 3, 0, 2)
+    best = by_block.reshape(ny, nx, rows * n).argmax(axis=-1)
     y, x = np.divmod(best, n)
     j, i = np.indices(best.shape)
 
@@ -365,34 +325,31 @@ def _peaks(correlation: np.ndarray, border: int, first_x: int, first_y: int) -> 
     return u + np.where(inside_x, dx, F(0)), v + np.where(inside_y, dy, F(0))
 
 
-@dataclass(frozen=True)
-class _LastStep:
-    """The last Gauss-Newton step of a match, and the sums over blocks that it was computed from."""
-
-    sums: np.ndarray  # (12, ny, nx): sums of `_last_sums` per block
-    windowed: np.ndarray  # (12, ny, nx): the same summed over windows, planes 5 to 11 only
-    coverage: np.ndarray  # (ny, nx): usable fraction of each window
-    du: np.ndarray  # (ny, nx): the step, px
-    dv: np.ndarray
-    outlier: np.ndarray  # (ny, nx) bool: where the displacement was replaced by that of the neighbours
-
-
 def _assess(
-    a: Level, b: Level, u: np.ndarray, v: np.ndarray, last: _LastStep, settings: MatchSettings
+    pair: _LevelPair, u: np.ndarray, v: np.ndarray, sums: np.ndarray, step: np.ndarray, outlier: np.ndarray
 ) -> Displacement:
-    """Return the displacement u, v (ny, nx), px, with the correlation, scores and validity of its blocks."""
-    correlation, energy = _correlation(last)
-    score, hessian = _own_scores(last)
-    reason = _reasons(a, b, u, v, last.outlier, correlation, energy, settings)
-    return Displacement(u, v, correlation, reason, settings, score, hessian)
+    """Return the displacement u, v with the correlation, scores and validity of its blocks.
+    `sums` (12, ny, nx) are those of `_last_sums`; the last step, (2, ny, nx), px, led from there to u, v.
+    Blocks are an `outlier` (ny, nx) where the displacement was replaced by that of the neighbours."""
+    windowed = pair.windows(sums[5:])
+    correlation, energy = _correlation(windowed, pair.coverage)
+    # `sums` holds the Hessian of image a, noise included. `ratio` is the common gradient energy over that of
+    # the mean image; the fraction of a's energy that both images share is ratio / (2 - ratio).
+    ratio = np.clip(windowed[5] / np.maximum(windowed[6], F(1e-12)), F(0), F(1))
+    hessian = sums[2:5] * (ratio / (F(2) - ratio))
+    xx, xy, yy = hessian
+    # the score is extrapolated over the last step
+    score = sums[:2] - np.stack([xx * step[0] + xy * step[1], xy * step[0] + yy * step[1]])
+    reason = _reasons(pair, u, v, outlier, correlation, energy)
+    return Displacement(u, v, correlation, reason, pair.settings, score, hessian)
 
 
-def _correlation(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
+def _correlation(windowed: np.ndarray, coverage: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the normalised correlation and the gradient energy ga gb of the windows, each (ny, nx)."""
-    rr, sa, aa, sr, ar, ab = last.windowed[5:11]
+    rr, sa, aa, sr, ar, ab = windowed[:6]
     power = float(aa.mean() / F(BLOCK * BLOCK))
     least = F((1e-4 * power + 1e-12) ** 2)
-    n = F(1) / (np.maximum(last.coverage, F(1e-3)) * F(BLOCK * BLOCK))
+    n = F(1) / (np.maximum(coverage, F(1e-3)) * F(BLOCK * BLOCK))
     a, r = sa * n, sr * n
     var_a = np.maximum(aa * n - a * a, F(0))
     covariance = ar * n - a * r
@@ -401,36 +358,19 @@ def _correlation(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(correlation, F(-1), F(1)), ab * n
 
 
-def _own_scores(last: _LastStep) -> tuple[np.ndarray, np.ndarray]:
-    """Return score (2, ny, nx), extrapolated over the last step, and Hessian (3, ny, nx) of each block.
-    The Hessian is that of image a, times the fraction of its gradient energy that both images share."""
-    # `sums` holds the Hessian of image a, noise included. `ratio` is the common gradient energy over that of
-    # the mean image; the fraction of a's energy that both images share is ratio / (2 - ratio).
-    shared, of_mean = last.windowed[10:12]
-    ratio = np.clip(shared / np.maximum(of_mean, F(1e-12)), F(0), F(1))
-    hessian = last.sums[2:5] * (ratio / (F(2) - ratio))
-    xx, xy, yy = hessian
-    step = np.stack([xx * last.du + xy * last.dv, xy * last.du + yy * last.dv])
-    return last.sums[:2] - step, hessian
-
-
 def _reasons(
-    a: Level,
-    b: Level,
+    pair: _LevelPair,
     u: np.ndarray,
     v: np.ndarray,
     outlier: np.ndarray,
     correlation: np.ndarray,
     energy: np.ndarray,
-    settings: MatchSettings,
 ) -> np.ndarray:
     """Return the bits of `Reason` of the blocks, (ny, nx), from the results of `_correlation`."""
+    settings, shape = pair.settings, pair.b.shape
     inside, weight = np.empty((2, *u.shape), np.float32)
-    block_weights(NO_MASK, NO_MASK, u, v, *b.shape, inside)
-    if a.good.size or b.good.size:
-        block_weights(a.good, b.good, u, v, *b.shape, weight)
-    else:
-        weight = inside
+    block_weights(NO_MASK, NO_MASK, u, v, *shape, inside)
+    block_weights(pair.a.good, pair.b.good, u, v, *shape, weight)
     least = F(max(settings.min_gradient_energy * _sparse_median(energy, weight > 0), 1e-12))
     rejected = {
         Reason.EDGE: inside == 0,

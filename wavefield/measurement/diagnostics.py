@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.displacement import flows
-from wavefield.measurement.elevation import surface, windowed
+from wavefield.measurement.elevation import PreparedImages, surface, windowed
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import Images, images_of
 from wavefield.measurement.model import Model
@@ -170,10 +170,11 @@ def diagnose(
         raise ValueError("cameras of a light sheet are not matched with each other: no pairs to compare")
     geometry, model, first, second = _learned(frames, geometry, model, masks or {})
     record = model.record
-    surfaces = [surface(view.flat, geometry, model.elevation) for view in (first, second)]
+    flat = first.rectified()
+    surfaces = [surface(one, geometry, model.elevation) for one in (flat, second.rectified())]
     if surfaces[0] is None or surfaces[1] is None:
         raise ValueError("the frames cannot be matched: nothing to compare with")
-    matches = _matched(first, geometry)
+    matches = _matched(flat, geometry)
     eps_y = {pair: match.eps_y[match.matched] for pair, match in matches.items()}
     lengths = {pair: np.hypot(*match.parallax)[match.matched] for pair, match in matches.items()}
     z_std = {pair: rms_within(eps_y[pair] / lengths[pair])[0] for pair in matches}
@@ -231,10 +232,10 @@ def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
     return PairMatch(one.pair, d, parallax, eps_y, rejected, matched, one.found)  # on the lattice of `one`
 
 
-def _matched(view: Images, geometry: GridGeometry) -> dict[Pair, PairMatch]:
+def _matched(flat: PreparedImages, geometry: GridGeometry) -> dict[Pair, PairMatch]:
     """Match all pairs of cameras: those of the geometry, and each two of their second cameras directly."""
     pairs = [*geometry.pairs, *combinations([b for _, b in geometry.pairs], 2)]
-    return {(a, b): match_pair(view.flat[a], view.flat[b], (a, b), geometry) for a, b in pairs}
+    return {(a, b): match_pair(flat[a], flat[b], (a, b), geometry) for a, b in pairs}
 
 
 def _moved(
@@ -248,7 +249,7 @@ def _moved(
     `middle` (ny, nx) is the elevation half-way between the two frames, whose images are `views`, metres."""
     moved: dict[Pair, NDArray[Any]] = {}
     eps_piv: dict[tuple[str, ...], NDArray[Any]] = {}
-    moves = flows(views[0].raw, views[1].raw, geometry.settings.piv, model)
+    moves = flows(views[0].in_time(), views[1].in_time(), geometry.settings.piv, model)
     d_std = [float("nan")] * 3
     for cameras in dict.fromkeys((*pairs, geometry.velocity_cameras)):
         if not set(cameras) <= set(moves):

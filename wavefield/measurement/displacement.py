@@ -138,7 +138,9 @@ def flows(
     for name in first:
         if name in second:
             near = matching.match(first[name], second[name], settings)
-            flow = flow_near(near, first[name], second[name], model.displacement[name])
+            estimator = model.displacement[name]
+            found = map_displacement(near, first[name], second[name], estimator.modes, True)
+            flow = camera_flow(found, estimator)
             usual = max(learned.get(name, np.inf), STILL_WATER_VARIANCE)
             if motion_variance(near) > MAX_MOTION_RATIO * usual:
                 flow = replace(flow, rejected=flow.rejected | np.uint16(Quality.REJECTED_RANGE))
@@ -150,17 +152,6 @@ def motion_variance(found: matching.Displacement) -> float:
     """Return the variance of u plus that of v over the valid blocks, px^2; 0 without any."""
     valid = found.valid
     return float(np.var(found.u[valid]) + np.var(found.v[valid])) if valid.any() else 0.0
-
-
-def flow_near(
-    near: matching.Displacement,
-    one: matching.PreparedImage,
-    other: matching.PreparedImage,
-    model: FieldModel,
-) -> CameraFlow:
-    """Return the most probable displacement (MAP) from image `one` to `other` of a camera.
-    `near` is their match, from which the estimate starts; `model` is the estimator of this camera."""
-    return camera_flow(map_displacement(near, one, other, model.modes, True), model)
 
 
 def camera_flow(found: FlowEstimate, model: FieldModel) -> CameraFlow:

@@ -239,65 +239,53 @@ Frames = Mapping[str, NDArray[Any] | None]
 
 @dataclass(frozen=True)
 class Images:
-    """The usable frames of one instant, prepared for matching."""
+    """The usable frames of one instant, prepared by `ready`, and their masks, by camera."""
 
-    flat: Mapping[str, matching.PreparedImage]  # rectified, for z; empty for a light sheet
-    raw: Mapping[str, matching.PreparedImage]  # not rectified, for matching in time
-    missing: frozenset[str]  # cameras without a usable frame
-    covered: Mapping[str, Covered]  # masks
+    ready: Mapping[str, NDArray[Any]]
+    covered: Mapping[str, Covered]
+    geometry: GridGeometry
 
+    @property
+    def missing(self) -> frozenset[str]:
+        """Cameras without a usable frame."""
+        return frozenset(name for name in self.geometry.cameras if name not in self.ready)
 
-def usable_frames(
-    frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks
-) -> dict[str, NDArray[Any]]:
-    """Return the usable frames, prepared by `ready`; `beads` are the bead widths by camera, raw px."""
-    out: dict[str, NDArray[Any]] = {}
-    for name in geometry.cameras:
-        image = frames.get(name)
-        if image is not None and usable(image, geometry.rig[name].size):
-            out[name] = ready(image, geometry.sights[name].binning, beads[name], masks.get(name))
-    return out
+    def rectified(self, left_out: str | None = None) -> dict[str, matching.PreparedImage]:
+        """Rectify the frames for matching between cameras; none for a light sheet, nor of `left_out`."""
+        if self.geometry.settings.sheet_thickness is not None:
+            return {}
+        return {
+            name: prepare(
+                self.ready[name],
+                name,
+                self.geometry,
+                self.covered[name].flat if name in self.covered else None,
+            )
+            for name in self.geometry.surface_cameras
+            if name in self.ready and name != left_out
+        }
 
-
-def rectified_images(
-    ready_frames: Mapping[str, NDArray[Any]], geometry: GridGeometry, covered: Mapping[str, Covered]
-) -> dict[str, matching.PreparedImage]:
-    """Rectify the frames from `usable_frames` for matching between cameras; none for a light sheet."""
-    if geometry.settings.sheet_thickness is not None:
-        return {}
-    return {
-        name: prepare(ready_frames[name], name, geometry, covered[name].flat if name in covered else None)
-        for name in geometry.surface_cameras
-        if name in ready_frames
-    }
+    def in_time(self) -> dict[str, matching.PreparedImage]:
+        """Prepare the frames, which are not rectified, for matching in time."""
+        return {
+            name: matching.prepare(
+                sharpened(self.ready[name], IN_TIME),
+                self.geometry.settings.piv,
+                self.covered[name].raw if name in self.covered else None,
+            )
+            for name in self.geometry.velocity_cameras
+            if name in self.ready
+        }
 
 
 def images_of(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks | None = None
 ) -> Images:
-    """Prepare the frames of one instant for both kinds of matching; `beads` are bead widths, raw px."""
+    """Prepare the usable frames of one instant; `beads` are bead widths, raw px, masks True where ignored."""
     masks = masks or {}
-    covered = covered_in(masks, geometry)
-    ready_frames = usable_frames(frames, geometry, beads, masks)
-    flat = rectified_images(ready_frames, geometry, covered)
-    return with_raw_images(flat, ready_frames, geometry, covered)
-
-
-def with_raw_images(
-    flat: Mapping[str, matching.PreparedImage],
-    ready_frames: Mapping[str, NDArray[Any]],
-    geometry: GridGeometry,
-    covered: Mapping[str, Covered],
-) -> Images:
-    """Return the images of one instant: `flat`, and images for matching in time made from `ready_frames`."""
-    raw = {
-        name: matching.prepare(
-            sharpened(ready_frames[name], IN_TIME),
-            geometry.settings.piv,
-            covered[name].raw if name in covered else None,
-        )
-        for name in geometry.velocity_cameras
-        if name in ready_frames
-    }
-    missing = frozenset(name for name in geometry.cameras if name not in ready_frames)
-    return Images(flat, raw, missing, covered)
+    found: dict[str, NDArray[Any]] = {}
+    for name in geometry.cameras:
+        image = frames.get(name)
+        if image is not None and usable(image, geometry.rig[name].size):
+            found[name] = ready(image, geometry.sights[name].binning, beads[name], masks.get(name))
+    return Images(found, covered_in(masks, geometry), geometry)

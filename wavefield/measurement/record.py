@@ -38,7 +38,7 @@ from wavefield.measurement.displacement import (
     map_displacement,
     motion_variance,
 )
-from wavefield.measurement.elevation import combine, first_information, map_elevation
+from wavefield.measurement.elevation import PreparedImages, combine, first_information, map_elevation
 from wavefield.measurement.error_budget import (
     RIPPLE_BLOCKS,
     best_path_frames,
@@ -47,13 +47,7 @@ from wavefield.measurement.error_budget import (
     shared_motion,
 )
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.images import (
-    Images,
-    Masks,
-    bead_width,
-    images_of,
-    usable,
-)
+from wavefield.measurement.images import Masks, bead_width, images_of, usable
 from wavefield.measurement.model import FieldModel, LearnedRecord, displacement_model, elevation_model
 from wavefield.measurement.paths import displacements_at_nodes
 from wavefield.measurement.velocity import component_variances, image_variance, solve_motion, velocity
@@ -206,8 +200,8 @@ def _with_pooled_fraction(priors: Mapping[str, Prior]) -> dict[str, Prior]:
 class _SampleStep:
     """One sample step with its matches, which do not depend on a prior."""
 
-    first: Images
-    second: Images
+    flat: tuple[PreparedImages, PreparedImages]  # rectified, of both frames
+    in_time: tuple[PreparedImages, PreparedImages]  # not rectified
     pairs: elevation.MatchedPairs | None  # of the first frame; None if it shows no surface
     displacements: Mapping[str, matching.Displacement]  # from the first frame to the second, per camera
 
@@ -220,13 +214,14 @@ class _SampleStep:
         masks: tuple[Masks, Masks],
     ) -> _SampleStep:
         """Prepare the images of a step's two frames and match them, between cameras and in time."""
-        first, second = (images_of(*one) for one in zip(frames, [geometry] * 2, [beads] * 2, masks))
+        one, two = (images_of(part, geometry, beads, mask) for part, mask in zip(frames, masks))
+        flat, (first, second) = (one.rectified(), two.rectified()), (one.in_time(), two.in_time())
         found = {
-            name: matching.match(first.raw[name], second.raw[name], geometry.settings.piv)
-            for name in first.raw
-            if name in second.raw
+            name: matching.match(first[name], second[name], geometry.settings.piv)
+            for name in first
+            if name in second
         }
-        return cls(first, second, elevation.match_pairs(first.flat, geometry), found)
+        return cls(flat, (first, second), elevation.match_pairs(flat[0], geometry), found)
 
 
 def _bead_widths(
@@ -281,7 +276,7 @@ def _elevation_samples(
         if step.pairs is None:
             return None
         blocks, matches = step.pairs
-        flat, pixel = step.first.flat, geometry.pixel
+        flat, pixel = step.flat[0], geometry.pixel
         turned = [one.turned for one in matches]  # across the sight lines, where waves displace nothing
 
         def estimate(modes: Modes) -> tuple[Float, float]:
@@ -318,10 +313,11 @@ def _displacement_samples(
     area = displacement_area(beads.get(name, 0.0) / geometry.sights[name].binning)
 
     def sample_of(step: _SampleStep) -> _FieldSample:
-        match, images = step.displacements[name], (step.first.raw[name], step.second.raw[name])
+        match = step.displacements[name]
+        first, second = (images[name] for images in step.in_time)
 
         def estimate(modes: Modes) -> tuple[Float, float]:
-            found = map_displacement(match, *images, modes)
+            found = map_displacement(match, first, second, modes)
             return _without_holes(found)
 
         counts = match.valid.astype(np.float32)
@@ -373,10 +369,10 @@ def _summary(samples: Sequence[_FieldSample], prior: Prior, pool: ThreadPoolExec
 def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel) -> Float | None:
     """Return the mean z (ny, nx), metres, of both frames of a step; None if one cannot be measured."""
     if step.pairs is None:
-        first = elevation.surface(step.first.flat, geometry, model)
+        first = elevation.surface(step.flat[0], geometry, model)
     else:
-        first = elevation.surface_of(*step.pairs, step.first.flat, geometry, model)
-    second = elevation.surface(step.second.flat, geometry, model)
+        first = elevation.surface_of(*step.pairs, step.flat[0], geometry, model)
+    second = elevation.surface(step.flat[1], geometry, model)
     if first is None or second is None:
         return None
     return np.asarray(np.float32(0.5) * (first.z + second.z))
@@ -406,8 +402,9 @@ def _differences(
     """Compare the cameras' displacements in a step on the surface z (ny, nx), metres; None if impossible."""
     if z is None:
         return None
+    first, second = step.in_time
     found = {
-        name: map_displacement(one, step.first.raw[name], step.second.raw[name], models[name].modes)
+        name: map_displacement(one, first[name], second[name], models[name].modes)
         for name, one in step.displacements.items()
     }
     flows = {name: camera_flow(one, models[name]) for name, one in found.items()}

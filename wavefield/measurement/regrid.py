@@ -36,52 +36,35 @@ class BlockLattice:
         return self.y0 + self.step * np.arange(self.shape[0])
 
 
-@compiled()
-def _pull(fields: Float, weight: Float, sums: Float, total: Float) -> None:
-    """Write to `sums` and `total` the sums of fields and weights over 2 x 2 blocks that have a weight."""
-    sums[:] = 0
-    total[:] = 0
-    for j in range(weight.shape[0]):
-        for i in range(weight.shape[1]):
-            if weight[j, i] > 0:
-                total[j // 2, i // 2] += weight[j, i]
-                for f in range(fields.shape[2]):
-                    sums[j // 2, i // 2, f] += fields[j, i, f]
-
-
-@compiled()
-def _push(coarse: Float, sums: Float, weight: Float, out: Float) -> None:
-    """Write the mean of each block; where it has no weight, interpolate between the coarser means."""
-    quarter = np.float32(0.25)
-    for j in range(weight.shape[0]):
-        for i in range(weight.shape[1]):
-            if weight[j, i] > 0:
-                for f in range(sums.shape[2]):
-                    out[j, i, f] = sums[j, i, f] / weight[j, i]
-            else:
-                # the block's centre lies a quarter of a coarse block away from that of its coarse block
-                r, c = j // 2, i // 2
-                r2 = min(max(r + 2 * (j % 2) - 1, 0), coarse.shape[0] - 1)
-                c2 = min(max(c + 2 * (i % 2) - 1, 0), coarse.shape[1] - 1)
-                for f in range(sums.shape[2]):
-                    near = coarse[r, c, f] + quarter * (coarse[r, c2, f] - coarse[r, c, f])
-                    far = coarse[r2, c, f] + quarter * (coarse[r2, c2, f] - coarse[r2, c, f])
-                    out[j, i, f] = near + quarter * (far - near)
-
-
 def push_pull(fields: Float, valid: Mask) -> Float:
     """Return fields (ny, nx, F), filled where `valid` is False by means over squares as large as needed."""
-    levels: list[tuple[Float, Float]] = [(fields, valid.astype(np.float32))]
-    while min(levels[-1][1].shape) > 1 and not levels[-1][1].all():
-        ny, nx = ((n + 1) // 2 for n in levels[-1][1].shape)
-        sums, total = np.empty((ny, nx, fields.shape[2]), np.float32), np.empty((ny, nx), np.float32)
-        _pull(*levels[-1], sums, total)
-        levels.append((sums, total))
+    weight = valid.astype(np.float32)[..., None]
+    levels = [(np.where(weight > 0, fields, np.float32(0)), weight)]
+    while min(weight.shape[:2]) > 1 and not weight.all():
+        sums, weight = (_sums_of_four(part) for part in levels[-1])
+        levels.append((sums, weight))
     out: Float = np.zeros((1, 1, fields.shape[2]), np.float32)
-    for sums, total in reversed(levels):
-        coarse, out = out, np.empty(sums.shape, np.float32)
-        _push(coarse, sums, total, out)
+    for sums, weight in reversed(levels):
+        out = np.where(weight > 0, sums / np.maximum(weight, np.float32(1)), _doubled(out, weight.shape[:2]))
     return out
+
+
+def _sums_of_four(field: Float) -> Float:
+    """Return the sums of a field (ny, nx, F) over squares of 2 x 2 blocks."""
+    ny, nx = field.shape[:2]
+    even = np.pad(field, [(0, ny % 2), (0, nx % 2), (0, 0)])
+    return np.asarray(((even[::2, ::2] + even[::2, 1::2]) + even[1::2, ::2]) + even[1::2, 1::2])
+
+
+def _doubled(coarse: Float, shape: tuple[int, ...]) -> Float:
+    """Interpolate a field (., ., F) to a lattice (ny, nx) of twice as many blocks."""
+    for axis, n in reversed(list(enumerate(shape))):
+        # the centre of a block lies a quarter of a coarse block away from that of its coarse block
+        near = np.arange(n) // 2
+        far = np.clip(near + 2 * (np.arange(n) % 2) - 1, 0, coarse.shape[axis] - 1)
+        start = coarse.take(near, axis)
+        coarse = start + np.float32(0.25) * (coarse.take(far, axis) - start)
+    return coarse
 
 
 def spline_prefilter(shape: tuple[int, int]) -> Float:

@@ -60,9 +60,11 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
     cameras then gives that of u, v, w. It is averaged over the grid, because an oblique camera has much
     longer pixels on the water far away than near.
     """
-    velocity = gain_of_velocity(geometry, record, kx, ky)
-    out = {name: velocity[..., i, i] for i, name in enumerate("uvw")}
-    return {"z": gain_of_elevation(geometry, record, kx, ky)} | out
+    step = BLOCK * geometry.pixel
+    z = _gain_between_blocks(record.elevation, kx * step, ky * step)[0]
+    x, y = (np.linspace(*side, 2 * PLACES + 1)[1::2] for side in (geometry.grid.x, geometry.grid.y))
+    velocity = np.mean([_gain_of_velocity(at, geometry, record, kx, ky) for at in product(x, y)], axis=0)
+    return {"z": z} | {name: velocity[..., i, i] for i, name in enumerate("uvw")}
 
 
 def shortest_carried(geometry: GridGeometry, record: LearnedRecord) -> dict[str, float]:
@@ -77,23 +79,10 @@ def shortest_carried(geometry: GridGeometry, record: LearnedRecord) -> dict[str,
     return out
 
 
-def gain_of_elevation(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
-    """Return the amplitude gain of z at wavenumbers kx, ky, rad/m, with their shape."""
-    step = BLOCK * geometry.pixel
-    return np.asarray(_gain_between_blocks(record.elevation, kx * step, ky * step)[0])
-
-
-def gain_of_velocity(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> Float:
-    """Return matrices from true to measured dx, dy, dz, averaged over the grid, (..., 3, 3)."""
-    x, y = (np.linspace(*side, 2 * PLACES + 1)[1::2] for side in (geometry.grid.x, geometry.grid.y))
-    gains = [_gain_of_velocity_at(place, geometry, record, kx, ky) for place in product(x, y)]
-    return np.asarray(np.mean(gains, axis=0))
-
-
-def _gain_of_velocity_at(
+def _gain_of_velocity(
     place: tuple[float, float], geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float
 ) -> Float:
-    """Return the matrices of `gain_of_velocity` for one place (x, y), metres, instead of the whole grid."""
+    """Return matrices from true to measured displacements (dx, dy, dz) at a place x, y, (..., 3, 3)."""
     jacobians: list[Any] = [
         geometry.sights[name].camera.jacobian(*place, 0.0) for name, _ in record.displacement
     ]

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wavefield import matching
 from wavefield.measurement.displacement import Flows, flows
 from wavefield.measurement.elevation import Surface, surface
 from wavefield.measurement.error_budget import TERMS, bead_tilt, error_budget
@@ -30,11 +31,8 @@ from wavefield.measurement.images import (
     Frames,
     Images,
     Masks,
-    covered_in,
+    images_of,
     masked_nodes,
-    rectified_images,
-    usable_frames,
-    with_raw_images,
 )
 from wavefield.measurement.midtime import (
     MidTime,
@@ -143,11 +141,9 @@ def measure(
         covered = {name: masks[name][number] for name in masks} if masks else None
         window.append(measure_instant(instant, geometry, model, covered))
         if AROUND - neighbours < number <= steps + AROUND + neighbours:
-            first, second = (one.images for one in window[-2:])
-            moves.append(flows(first.raw, second.raw, geometry.settings.piv, model))
-            del first, second  # frees most of the memory
-        if number:
-            window[-2] = window[-2].without_images()
+            moves.append(flows(window[-2].in_time, window[-1].in_time, geometry.settings.piv, model))
+        if number:  # frees most of the memory
+            window[-2] = replace(window[-2], in_time={})
         if len(window) == 2 * AROUND + 2:
             step = number - 2 * AROUND - 1
             row = {name: field[step] for name, field in out.items()}
@@ -284,35 +280,25 @@ class Instant:
     """The surface of one instant, with its images for matching in time."""
 
     surface: Surface | None  # elevation at the nodes; None if it could not be measured
-    images: Images
-    frames: Frames  # the raw frames, from which z is measured again if a camera must be left out
-    masks: Masks
+    images: Images  # from which z is measured again if a camera must be left out
+    in_time: Mapping[str, matching.PreparedImage]
     _without: dict[str, Surface | None] = field(default_factory=dict)
 
     def without(self, camera: str, geometry: GridGeometry, model: Model) -> Surface | None:
         """Return the surface measured without one camera, None if it cannot be; stored for later calls."""
         if camera not in self._without:
-            rest = {name: image for name, image in self.frames.items() if name != camera}
-            ready_frames = usable_frames(rest, geometry, dict(model.record.beads), self.masks)
-            flat = rectified_images(ready_frames, geometry, self.images.covered)
-            self._without[camera] = surface(flat, geometry, model.elevation)
+            self._without[camera] = surface(self.images.rectified(camera), geometry, model.elevation)
         return self._without[camera]
-
-    def without_images(self) -> Instant:
-        """Return the instant without its images for matching in time, which take most of the memory."""
-        return replace(self, images=replace(self.images, raw={}))
 
 
 def measure_instant(
     frames: Frames, geometry: GridGeometry, model: Model, masks: Masks | None = None
 ) -> Instant:
     """Measure the elevation of one instant from raw frames, and prepare its images for matching in time."""
-    masks = masks or {}
-    covered = covered_in(masks, geometry)
-    ready_frames = usable_frames(frames, geometry, dict(model.record.beads), masks)
+    images = images_of(frames, geometry, dict(model.record.beads), masks)
     # the rectified images are freed before those for matching in time are made: each set takes 20 MB
-    found = surface(rectified_images(ready_frames, geometry, covered), geometry, model.elevation)
-    return Instant(found, with_raw_images({}, ready_frames, geometry, covered), frames, masks)
+    found = surface(images.rectified(), geometry, model.elevation)
+    return Instant(found, images, images.in_time())
 
 
 def estimate_step(
