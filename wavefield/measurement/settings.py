@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from wavefield import matching
 from wavefield.config_files import CHECKED, file_and_line, make
@@ -71,8 +72,6 @@ class Settings:
         Matches with an epipolar error above this many times its rms are rejected.
     row_delays : tuple of (str, float)
         Camera and ``row_time`` in frame intervals, for rolling shutters; `run` fills it in.
-    vibration : {"leave", "correct"}
-        correct: remove the constant and linear part of the epipolar error of every frame.
     stereo : matching.MatchSettings
         Matching between cameras; its search range is set from z_range.
     piv : matching.MatchSettings
@@ -94,7 +93,6 @@ class Settings:
     pixel: float | None = None
     eps_limit: float = 3.0
     row_delays: tuple[tuple[str, float], ...] = ()
-    vibration: Literal["leave", "correct"] = "leave"
     stereo: matching.MatchSettings = _STEREO
     piv: matching.MatchSettings = _PIV
 
@@ -130,11 +128,6 @@ class Settings:
                 raise ExperimentError(f"sheet_thickness: give a length above 0 m, not {self.sheet_thickness}")
             if self.bead_height:
                 raise ExperimentError("bead_height: particles in a light sheet do not float; leave it out")
-            if self.vibration != "leave":
-                raise ExperimentError(
-                    "vibration: correct needs cameras that are matched with each other: those of a light "
-                    "sheet are not; leave one of the two out"
-                )
 
     def adjusted(self, preset: str) -> Settings:
         """These settings, changed by a preset for another kind of images.
@@ -166,7 +159,7 @@ class Settings:
         dict
             Setting names to numbers, strings and lists; ``stereo`` and ``piv`` are dicts.
         """
-        out: dict[str, Any] = _plain(asdict(self))
+        out: dict[str, Any] = json.loads(json.dumps(asdict(self)))  # tuples become lists
         if not self.row_delays:  # older recipes have no such key
             del out["row_delays"]
         return out
@@ -205,12 +198,3 @@ class Settings:
             if isinstance(values.get(name, {}), Mapping):
                 values[name] = asdict(default) | dict(values.get(name, {}))
         return make(cls, values, path=path, location=("settings",))
-
-
-def _plain(value: object) -> Any:
-    """Convert nested tuples to lists."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [_plain(v) for v in value]
-    return value

@@ -161,13 +161,11 @@ def measure_chunk(
     """Measure all steps of a chunk.
     ``geometry`` and ``model`` hold the rig, grid and settings, and what was learned from the record. With
     ``terms``, the terms of the standard uncertainties are added to the fields."""
-    from wavefield.measurement.stabilize import steady
     from wavefield.measurement.step import measure
 
     frames = {name: ChunkFrames(source, chunk) for name, source in chunk.sources.items()}
     masks = {name: ChunkMasks(source, chunk) for name, source in chunk.sources.items()}
-    given = steady(frames, geometry) if geometry.settings.vibration == "correct" else frames
-    fields = dict(measure(given, geometry, frame_rate, model, masks, chunk.departures, terms))
+    fields = dict(measure(frames, geometry, frame_rate, model, masks, chunk.departures, terms))
     status = np.asarray(fields.pop("frame_status"), np.uint8)
     _find_dim_frames(frames, status, chunk, geometry)
     _find_high_water(frames, fields["z"], status, chunk, geometry)

@@ -106,14 +106,11 @@ def learn_from(
     ``pairs`` is the result of `samples`, and ``frame_rate`` is in Hz. Returns the learned record as plain
     data; empty if no step can be measured."""
     from wavefield.measurement import learn
-    from wavefield.measurement.stabilize import corrected
 
     def masks(pair: Mapping[str, Source], back: int) -> dict[str, Any]:
         return {name: source.covered(len(source) - back) for name, source in pair.items()}
 
     steps = list(map(both_frames, pairs))
-    if geometry.settings.vibration == "correct":
-        steps = [(corrected(first, geometry), corrected(second, geometry)) for first, second in steps]
     covered = [(masks(pair, 2), masks(pair, 1)) for pair in pairs]
     with one_opencv_thread():  # in each of our threads
         record = learn(steps, geometry, covered, threads, frame_rate)

@@ -239,7 +239,6 @@ def prepare(
     are estimated from sample images. Raises ExperimentError or RigError if a file is missing or wrong, or if
     rig, grid or elevations cannot be in metres."""
     from wavefield.measurement import GridGeometry
-    from wavefield.measurement.stabilize import refuse_unless_in_a_row
 
     experiment, workflow = load_files(experiment, workflow)
     series = experiment.open_frames()
@@ -261,8 +260,6 @@ def prepare(
     series = {name: series[name] for name in used}
     covered = masks.footprints(experiment.mask)
     geometry = GridGeometry(rig, grid, settings, covered)
-    if settings.vibration == "correct":
-        refuse_unless_in_a_row(geometry)
     series = masks.covered_series(experiment.mask, series, rig, experiment.path.parent)
     look = _SampleImages(series, geometry)
     motion, heights = None, None

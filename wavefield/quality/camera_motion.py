@@ -453,7 +453,6 @@ def remarks_on_mounts(cube: xr.Dataset) -> Iterator[Remark]:
             "remark",
             f"the epipolar error varies by {rms:.3f} +- {std:.3f} px rms from step to step",
             "A camera tilts or rolls on its mount: z and velocities are wrong by about as much",
-            "Stiffen the mounts and keep carriages, pumps and people away; `settings: {vibration: correct}` "
-            "removes its part across the parallax",
+            "Stiffen the mounts and keep carriages, pumps and people away",
             {"px": rms, "std": std},
         )
