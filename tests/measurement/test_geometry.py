@@ -62,5 +62,6 @@ def test_a_horizon_in_view_does_not_flatten_what_is_measured():
     for grid in (common_field(rig.cameras.values(), step=1.2), Grid((-120, 120), (96, 144), 3.0)):
         geometry = GridGeometry(rig, grid, Settings(z_range=(-0.24, 0.24)))
         seen = np.logical_and.reduce([c.sees(geometry.x, geometry.y, 0.0) for c in rig.cameras.values()])
-        for plane, nodes in ((geometry.plane.x, geometry.x[seen]), (geometry.plane.y, geometry.y[seen])):
+        lattice = geometry.lattice
+        for plane, nodes in ((lattice.x, geometry.x[seen]), (lattice.y, geometry.y[seen])):
             assert plane[0] <= nodes.min() < nodes.max() <= plane[-1]

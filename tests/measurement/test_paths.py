@@ -7,6 +7,7 @@ from scipy.ndimage import spline_filter
 from wavefield.measurement.paths import EVEN_TIMES, path_weights, read_path
 from wavefield.measurement.regrid import BlockLattice
 
+EVEN = path_weights(EVEN_TIMES, 6)
 LATTICE = BlockLattice(2.0, 2.0, 5.0, (60, 60))
 MIDDLE = 150.0
 JITTER = st.lists(st.floats(-0.2, 0.2), min_size=6, max_size=6).map(lambda e: EVEN_TIMES + e)
@@ -45,7 +46,7 @@ def error(angle, times, there, read):
 
 def test_a_turning_body_keeps_third_order_in_time():
     def off(angle, *there):
-        return error(angle, EVEN_TIMES, there, lambda *a: read_path(*a, path_weights(frames=6)))[0]
+        return error(angle, EVEN_TIMES, there, lambda *a: read_path(*a, path_weights(EVEN_TIMES, 6)))[0]
 
     # chords are p^2/24 short and lie beside the path by p^2/8; four places leave terms in p^4
     assert off(0.2, False, True, False) == pytest.approx(0.2**2 / 12, rel=0.05)
@@ -61,12 +62,12 @@ def test_paths_through_frames_at_uneven_times_are_as_exact_as_through_even_ones(
     there = {2: "00100", 3: "01100", -3: "00110", 4: "01110", 6: "11111"}[places]
     there = [q == "1" for q in there]
     limit = {2: 0.03, 3: 3e-3, 4: 5e-4, 6: 5e-4}[abs(places)]
-    uneven = error(0.1, times, there, lambda *a: read_path(*a, path_weights(times)))
+    uneven = error(0.1, times, there, lambda *a: read_path(*a, path_weights(times, 6)))
     assert max(uneven) < limit
     # and through the same places as where times are taken for even
     used = list(USED.get(places, ()))
     if places in (4, 6) and np.abs(times - EVEN_TIMES)[used].max() > 0.1:
-        assert max(error(0.1, times, there, read_path)) > 3 * max(uneven)
+        assert max(error(0.1, times, there, lambda *a: read_path(*a, EVEN))) > 3 * max(uneven)
 
 
 def test_water_that_was_not_in_the_image_was_not_measured():
@@ -75,7 +76,7 @@ def test_water_that_was_not_in_the_image_was_not_measured():
     moved = rng.uniform(-50.0, 50.0, 2)
     spline = coefficients([np.full(LATTICE.shape, one) for one in moved])
     measured = np.ones(LATTICE.shape, bool)
-    _, block = read_path([spline] * 5, [measured] * 5, LATTICE, *at)
+    _, block = read_path([spline] * 5, [measured] * 5, LATTICE, *at, EVEN)
     places = at + np.multiply.outer(np.arange(-2, 3) - 0.5, moved)[..., None]  # where each step departs
     inside = ((places > -0.5) & (places < 299.5)).all(axis=1)
     inside[[0, 4]] = inside[[0, 1, 3, 4]].all(axis=0)
@@ -93,7 +94,7 @@ def test_displacements_that_are_not_finite_or_absurd_lead_out_of_no_array(places
         faulty = random.random(fields.shape) < random.choice([0.0, 0.1, 0.9])
         fields[faulty] = random.choice([np.nan, np.inf, -np.inf, 3e38])
         d, block = read_path(
-            list(fields), list(random.random((places - 1, *LATTICE.shape)) < 0.7), LATTICE, X, Y
+            list(fields), list(random.random((places - 1, *LATTICE.shape)) < 0.7), LATTICE, X, Y, EVEN
         )
         assert np.isnan(d[:, ::17]).all()
         assert -1 <= block.min() <= block.max() < np.prod(LATTICE.shape)

@@ -29,7 +29,7 @@ Array = np.ndarray
 
 BLOCK = 5  # side of a block, px: the step of the lattice
 TAPS = 6  # weights of the quintic B-spline along one axis
-SIDE = 10  # BLOCK + TAPS - 1: side of the patch of b that one block needs
+SIDE = BLOCK + TAPS - 1  # side of the patch of b that one block needs
 LANES = 8  # floats in a vector register (AVX), of which BLOCK are needed
 MID = F(2.0)  # (BLOCK - 1) / 2: centre of a block, px from its first pixel
 PAD = 8  # width of the replicated border of a prepared image, px

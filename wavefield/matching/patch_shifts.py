@@ -10,45 +10,38 @@ PATCH_PX = 64  # side of the patches
 REACH_PX = 256  # largest displacement that is searched, along each axis
 PATCHES_ACROSS = 6  # patches along each side of an image
 MIN_CORRELATION = 0.25  # particles that leave a light sheet between two frames leave no more than this
-MIN_CORRELATION_SMALL = 0.4  # the same for the smaller patches of small images, which correlate by chance
 MAX_SECOND_BEST = 0.85  # second-largest over largest correlation, above which the match is ambiguous
-AGREEMENT_PX = 8.0  # two displacements confirm each other within this plus a quarter of their length
-MARGIN_PX = 12.0  # added on either side of the range that was found, with a quarter of its span
+# two displacements confirm each other within this plus a quarter of their length; a range of displacements is
+# widened by this plus a quarter of its span
+TOLERANCE_PX = 12.0
 
 Float = NDArray[np.float32]
 
 
 def widened(ends: tuple[float, float]) -> tuple[float, float]:
     """Widen a range of displacements (lowest, highest), px, by a margin, rounded outwards to whole px."""
-    margin = MARGIN_PX + 0.25 * (ends[1] - ends[0])
+    margin = TOLERANCE_PX + 0.25 * (ends[1] - ends[0])
     return float(np.floor(ends[0] - margin)), float(np.ceil(ends[1] + margin))
 
 
-def shifts(
-    a: Float, b: Float, side: int = PATCH_PX, reach: tuple[int, int] = (REACH_PX, REACH_PX)
-) -> NDArray[np.float64]:
+def shifts(a: Float, b: Float, reach: tuple[int, int] = (REACH_PX, REACH_PX)) -> NDArray[np.float64]:
     """Find the displacements of large patches from image a to image b, up to `reach` (x, y), px.
 
-    A patch is a square of `side` px, or less in small images. Returns (n, 4), one row for each patch with
-    contrast: displacement x and y (multiples of 2 px in large images; NaN if not found), and the x and y of
-    the patch's centre, all in px. The result is empty for images below 64 px.
+    Returns (n, 4), one row for each patch with contrast: displacement x and y (multiples of 2 px; NaN if not
+    found), and the x and y of the patch's centre, all in px. The result is empty for images below 256 px.
     """
     a, b = (np.asarray(image, np.float32) for image in (a, b))
     height, width = a.shape
-    size = min(side, height // 4, width // 4)
-    if size < 16:
+    if min(height, width) < 4 * PATCH_PX:
         return np.zeros((0, 4))
     contrast = 0.2 * float(a.std())
-    # large patches are searched for in images of half the size
-    scale, least = (1, MIN_CORRELATION_SMALL) if size < PATCH_PX else (2, MIN_CORRELATION)
-    one, other = (image if scale == 1 else _half(image) for image in (a, b))
-    near = reach[0] // scale, reach[1] // scale
+    one, other = _half(a), _half(b)
     out = []
-    for y in np.linspace(0, height - size, PATCHES_ACROSS).astype(int).tolist():
-        for x in np.linspace(0, width - size, PATCHES_ACROSS).astype(int).tolist():
-            if float(a[y : y + size, x : x + size].std()) > contrast:
-                dx, dy = _found(one, other, (x // scale, y // scale), size // scale, near, least)
-                out.append((scale * dx, scale * dy, x + 0.5 * (size - 1), y + 0.5 * (size - 1)))
+    for y in np.linspace(0, height - PATCH_PX, PATCHES_ACROSS).astype(int).tolist():
+        for x in np.linspace(0, width - PATCH_PX, PATCHES_ACROSS).astype(int).tolist():
+            if float(a[y : y + PATCH_PX, x : x + PATCH_PX].std()) > contrast:
+                dx, dy = _found(one, other, (x // 2, y // 2), (reach[0] // 2, reach[1] // 2))
+                out.append((2 * dx, 2 * dy, x + 0.5 * (PATCH_PX - 1), y + 0.5 * (PATCH_PX - 1)))
     return np.array(out, float).reshape(-1, 4)
 
 
@@ -67,17 +60,16 @@ def _correlations(patch: Float, around: Float) -> Float:
     return np.asarray(correlations, np.float32)
 
 
-def _found(
-    a: Float, b: Float, at: tuple[int, int], size: int, reach: tuple[int, int], least: float
-) -> tuple[float, float]:
-    """Return the displacement of the patch of image a at column and row `at` in image b, px.
-    It is NaN if no correlation within `reach` (x, y), px, is above `least`, or if two are about equal."""
+def _found(a: Float, b: Float, at: tuple[int, int], reach: tuple[int, int]) -> tuple[float, float]:
+    """Return the displacement of the patch of a, at column and row `at`, in b (halved images), px.
+    It is NaN if no correlation within `reach` (x, y) is above MIN_CORRELATION, or if two are about equal."""
+    size = PATCH_PX // 2
     x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
     patch = a[at[1] : at[1] + size, at[0] : at[0] + size]
     correlations = _correlations(patch, b[y0 : at[1] + size + reach[1], x0 : at[0] + size + reach[0]])
     _, best, _, (column, row) = cv2.minMaxLoc(correlations)
     correlations[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4] = -1.0
-    if not best > least or correlations.max() > MAX_SECOND_BEST * best:
+    if not best > MIN_CORRELATION or correlations.max() > MAX_SECOND_BEST * best:
         return np.nan, np.nan
     return float(x0 + column - at[0]), float(y0 + row - at[1])
 
@@ -95,8 +87,8 @@ def locate(patch: Float, around: Float) -> tuple[float, float, float]:
 
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return those of the displacements (n, 2), px, that differ by < 8 px + 25 % from another patch's."""
+    """Return those of the displacements (n, 2), px, that differ by < 12 px + 25 % from another patch's."""
     moved = moved[np.isfinite(moved[:, 0])]
-    apart = np.hypot(*(moved[:, None] - moved).T) - AGREEMENT_PX - 0.25 * np.hypot(*moved.T)
+    apart = np.hypot(*(moved[:, None] - moved).T) - TOLERANCE_PX - 0.25 * np.hypot(*moved.T)
     out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]
     return out

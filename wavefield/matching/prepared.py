@@ -27,13 +27,12 @@ from wavefield.matching.settings import MatchSettings
 
 F = np.float32
 
-SATURATED_SIDE = 5  # px: smallest side of a uniform patch at the largest value that counts as saturated
 MIN_LEVEL_SIDE = 8 * BLOCK  # px: the pyramid ends before a level with a smaller side
 MAX_CELL_SIDE = 8  # px: largest side of a cell
 # lower bound of the local standard deviation over its median: fainter parts are not amplified further
 MIN_RELATIVE_CONTRAST = F(0.05)
 MIN_USABLE_SHARE = F(1e-3)  # lower bound of the usable fraction around a cell, which divides its sums
-BEAD_SMOOTHING = 1.0  # px: Gaussian that removes the maxima of noise before the tops of beads are found
+NOISE_BLUR_PX = 1.0  # standard deviation of the Gaussian that removes the noise of single pixels
 NO_MASK = np.empty((0, 0), np.uint8)
 
 # of fast-math only fused multiply-adds: NaN and infinity must propagate into the sums
@@ -82,7 +81,7 @@ class Level:
         """Block with the top of each pixel's bead, (h, w), and the Hessians of such blocks, (3, ny, nx)."""
         ny, nx = self.blocks
         h, w = ny * BLOCK, nx * BLOCK
-        smooth = cv2.GaussianBlur(self.padded, (0, 0), BEAD_SMOOTHING)
+        smooth = cv2.GaussianBlur(self.padded, (0, 0), NOISE_BLUR_PX)
         smooth[PAD - 1] = smooth[PAD + h] = smooth[:, PAD - 1] = smooth[:, PAD + w] = -np.inf
         block, hessian = np.empty((h, w), np.int32), np.empty((ny * nx, 3), np.float32)
         bead_blocks(smooth, block)
@@ -227,11 +226,11 @@ def _excluding(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> M
 def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
     """Return a mask (h, w) of uniform patches of 5 x 5 px at the largest value, in `columns`, or None."""
     # every patch contains one pixel of a grid whose step is the side of the smallest patch
-    columns = columns[columns % SATURATED_SIDE == SATURATED_SIDE - 1]
-    if largest <= 0 or not (image[SATURATED_SIDE - 1 :: SATURATED_SIDE, columns] == largest).any():
+    columns = columns[columns % BLOCK == BLOCK - 1]
+    if largest <= 0 or not (image[BLOCK - 1 :: BLOCK, columns] == largest).any():
         return None
     bright = cv2.inRange(image, largest, largest)
-    patch = np.ones((SATURATED_SIDE, SATURATED_SIDE), np.uint8)
+    patch = np.ones((BLOCK, BLOCK), np.uint8)
     middles = cv2.erode(bright, patch)
     return cv2.dilate(middles, patch) > 0 if cv2.countNonZero(middles) else None
 

@@ -16,6 +16,7 @@ from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import Images, images_of
 from wavefield.measurement.model import Model
 from wavefield.measurement.pair import PairMatch, match_pair
+from wavefield.measurement.paths import EVEN_TIMES
 from wavefield.measurement.record import learn
 from wavefield.measurement.resolution import shortest_carried
 from wavefield.measurement.velocity import velocity
@@ -255,7 +256,7 @@ def _moved(
         if not set(cameras) <= set(moves):
             continue  # this camera does not measure velocity
         flows_of = {name: moves[name] for name in cameras}
-        step = velocity((None, flows_of, None), middle, geometry, model.record.path_frames)
+        step = velocity((None, flows_of, None), middle, geometry, model.record.path_frames, EVEN_TIMES)
         assert step is not None  # every camera has both frames
         measured = (step.quality & Quality.FILLED) == 0
         eps_piv[cameras] = np.where(measured, step.eps_piv, np.nan)

@@ -44,11 +44,10 @@ from wavefield.water import dispersion
 Float = NDArray[Any]
 
 TERMS = "noise", "prior", "frames", "ripples", "setup"
-# `changed_waves` compares z from six frames with z from four. Error of z over this difference: 1 to 4 in
-# simulated seas that start within 0.25 s, at 20 frames/s
-CHANGE_RATIO = 2.0
-# difference over the expected one above which the waves change: it is 1.0 to 1.1 on beads, to 1.5 on texture
-CHANGE_DETECTED = 2.0
+# `changed_waves` compares z from six frames with z from four. The waves change if the difference is more than
+# this factor above the expected one (1.0 to 1.1 on beads, to 1.5 on texture). The error of z is then this
+# factor times the difference (1 to 4 in simulated seas that start within 0.25 s, at 20 frames/s).
+CHANGE_FACTOR = 2.0
 # mean squared cosine of the angle between two waves: 1/2 if all directions are equally frequent, 1 for one
 CORRELATION_OF_DIRECTIONS = 0.75
 HEIGHT_PER_WIDTH = 0.2  # height of beads on still water over their width: 0.17 to 0.20 in path-traced images
@@ -75,7 +74,7 @@ def error_budget(
     geometry: GridGeometry,
     record: LearnedRecord,
     frame_rate: float,
-    times: Float = EVEN_TIMES,
+    times: Float,
 ) -> dict[str, Float]:
     """Return the variances of z, dx, dy, dz (displacement per step) by name of the term, (4, ny, nx), m^2.
     `times` (6,) of the frames are in frame intervals from mid-time; `frame_rate` is in Hz."""
@@ -125,10 +124,10 @@ def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> flo
     apart = np.exp(1j * np.outer(waves.phase, times)) @ (six - four)
     expected = waves.variance @ np.square(np.abs(apart))
     expected += float(np.mean([one.noise.mean() for one in estimate.nearest])) * np.sum((six - four) ** 2)
-    return CHANGE_RATIO**2 * max(estimate.mid_time.departure - CHANGE_DETECTED**2 * float(expected), 0.0)
+    return CHANGE_FACTOR**2 * max(estimate.mid_time.departure - CHANGE_FACTOR**2 * float(expected), 0.0)
 
 
-def lost_by_elevation(waves: WaveRings, frames: int, times: Float = EVEN_TIMES) -> float:
+def lost_by_elevation(waves: WaveRings, frames: int, times: Float) -> float:
     """Return the variance of z, m^2, lost by interpolation between 6, 4, 3 or 2 frames.
     It is sum S |1 - sum w_t exp(i p t)|^2: S variance, p phase per frame, w_t weight of the frame at t."""
     weights, _ = frame_weights(times, FRAMES_OF_Z[frames])
@@ -136,7 +135,7 @@ def lost_by_elevation(waves: WaveRings, frames: int, times: Float = EVEN_TIMES) 
     return float(waves.variance @ np.square(np.abs(1.0 - seen)))
 
 
-def lost_by_paths(waves: WaveRings, path_frames: int, times: Float = EVEN_TIMES) -> float:
+def lost_by_paths(waves: WaveRings, path_frames: int, times: Float) -> float:
     """Return the variance of the rise per step, m^2, lost by this kind of path (`path_weights`).
     It is sum S |i p - sum w_t exp(i p t)|^2, with the weights w_t of the derivative, plus `orbits`."""
     _, weights = frame_weights(times, FRAMES_OF_Z[frames_of_path(path_frames)], path_frames == 6)
@@ -187,7 +186,7 @@ def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
     def error(code: int) -> float:
         half = PATH_WEIGHTS[code]
         noise = noise_variance * noise_of_displacements(np.array([*half[:0:-1], *half])).sum()
-        lost = float(WAVE_VARIANCES.sum()) * lost_by_paths(waves, code)
+        lost = float(WAVE_VARIANCES.sum()) * lost_by_paths(waves, code, EVEN_TIMES)
         return float(noise) + lost
 
     return min((4, 6, EXACT_SIX), key=error)
@@ -228,10 +227,9 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
     levelled = geometry.rig.provenance.get("levelled")
     if geometry.settings.sheet_thickness is not None:
         return 0.0  # `stated_by_setup` contains it
-    if isinstance(levelled, Mapping) and "camera_height_std_m" in levelled:
-        return float(levelled["camera_height_std_m"])
-    if isinstance(levelled, Mapping) and "rms_m" in levelled:
-        return float(levelled["rms_m"])
+    for name in ("camera_height_std_m", "rms_m"):
+        if isinstance(levelled, Mapping) and name in levelled:
+            return float(levelled[name])
     if geometry.settings.bead_height:
         return geometry.settings.bead_height
     if record is None:

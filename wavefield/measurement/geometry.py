@@ -102,16 +102,6 @@ class RectifiedPlane:
         x, y = (first + 0.5 * (BLOCK - 1) * self.pixel for first in self.origin)
         return BlockLattice(x, y, BLOCK * self.pixel, self.shape)
 
-    @property
-    def x(self) -> Float:
-        """Pixel centres along x, (5 nx,), metres."""
-        return np.asarray(self.origin[0] + self.pixel * np.arange(self.shape[1] * BLOCK))
-
-    @property
-    def y(self) -> Float:
-        """Pixel centres along y, (5 ny,), metres."""
-        return np.asarray(self.origin[1] + self.pixel * np.arange(self.shape[0] * BLOCK))
-
 
 @dataclass(frozen=True)
 class RectifiedView:
@@ -176,9 +166,10 @@ def rectified_views(
 ) -> dict[str, RectifiedView]:
     """Compute the rectified view of every camera on `plane`; `middle` (x, y) is that of the grid, metres."""
     blur = _blur(sights, plane.pixel, middle)
+    x, y = (first + plane.pixel * np.arange(n * BLOCK) for first, n in zip(plane.origin, plane.shape[::-1]))
     out = {}
     for name, sight in sights.items():
-        X, Y, visible = sight_map(sight.camera, plane.x, plane.y)
+        X, Y, visible = sight_map(sight.camera, x, y)
         blocks = cv2.resize(visible.astype(np.float32), plane.shape[::-1], interpolation=cv2.INTER_AREA)
         out[name] = RectifiedView(
             (X, Y), visible, np.asarray(blocks, np.float32), Mask.of(visible, stereo), blur[name]
@@ -288,7 +279,6 @@ class GridGeometry:
         distance = float(np.linalg.norm(rig[self.reference].centre - [*self.middle, 0.0]))
         reach = settings.sheet_thickness or _Z_RANGE * distance
         self.z_range = settings.z_range or (-reach, reach)
-        self._check_view()
         coarsest = max(pixel_at(rig[name], *self.middle) for name in self.cameras)
         self.sights = {}
         for name in self.cameras:  # bin the images of finer cameras to about the coarsest pixel on the water
@@ -384,16 +374,6 @@ class GridGeometry:
             return planned
         rest = tuple(n for n in self.surface_cameras if n in present)
         return pairs_of(self.rig, rest) if len(rest) >= 2 else ()
-
-    def _check_view(self) -> None:
-        """Raise RigError if no node is seen by both cameras of a pair."""
-        heights = (self.z_range[0], 0.0, self.z_range[1])
-        visible = {
-            name: np.any([self.rig[name].sees(self.x, self.y, z) for z in heights], axis=0)
-            for name in self.surface_cameras
-        }
-        if not any((visible[a] & visible[b]).any() for a, b in self.pairs):
-            raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
 
     def _fitting_pixel(self) -> float:
         """Return the side of a rectified pixel, m: the coarsest camera's, or less on a fine grid."""

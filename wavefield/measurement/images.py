@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.compiled import compiled
 from wavefield.images import fill_masked
-from wavefield.matching.prepared import Mask
+from wavefield.matching.prepared import NOISE_BLUR_PX, Mask
 from wavefield.measurement.geometry import Covered, GridGeometry, Pixels
 from wavefield.measurement.rectify import bin_pixels, rectify, widen
 
 SURROUNDINGS_SIGMA_PX = 4.0  # standard deviation of the Gaussian mean around a bead
 BEAD_WIDTHS_PX = 1.5, 8.0  # narrowest and widest bead, at half height
-NOISE_SIGMA_PX = 1.0  # standard deviation of the blur that removes the noise of single pixels
 MIN_SKEWNESS = 0.3  # least skewness of the brightness of beads; below, the image shows a texture
 MAX_SIZE_TO_WIDTH = 3.0  # objects wider than this many bead widths belong to the background
 
@@ -42,7 +41,7 @@ def bead_width(image: NDArray[Any]) -> float:
     """
     part = np.ascontiguousarray(image, np.float32)
     around = cv2.GaussianBlur(part, (0, 0), SURROUNDINGS_SIGMA_PX)
-    if _skewness(cv2.GaussianBlur(part, (0, 0), NOISE_SIGMA_PX) - around) < MIN_SKEWNESS:
+    if _skewness(cv2.GaussianBlur(part, (0, 0), NOISE_BLUR_PX) - around) < MIN_SKEWNESS:
         return 0.0
     part = part - around
     part = np.clip(part, *np.percentile(part[::4, ::4], (1, 99.5)))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.elevation import Surface
-from wavefield.measurement.paths import EVEN_TIMES, FRAMES_OF_Z, frame_weights
+from wavefield.measurement.paths import FRAMES_OF_Z, frame_weights
 from wavefield.measurement.velocity import Motion
 from wavefield.variables import AROUND
 
@@ -54,7 +54,7 @@ def z_at_mid_time(
     flow: tuple[float, float],
     x: Float,
     y: Float,
-    times: Float = EVEN_TIMES,
+    times: Float,
     late: Float | None = None,
 ) -> tuple[tuple[Float, ...], NDArray[np.uint8], Mask]:
     """Interpolate z at mid-time, half-way between the frames of a step, at nodes x, y (ny, nx), metres.

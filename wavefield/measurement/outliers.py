@@ -15,7 +15,7 @@ Float = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
 MAX_MISFIT = 12.0  # largest median over the nodes of chi^2 per degree of freedom; above, cameras contradict
-MAX_NODE_MISFIT = 36.0  # the same for a single node
+MAX_NODE_MISFIT = 3 * MAX_MISFIT  # the same for a single node
 MAX_PAIR_DIFFERENCE_PX = 1.5  # largest difference between the elevations of two pairs, as parallax
 _PAIR_MEAN_BLOCKS = (5, 5)  # blocks over which it is averaged
 _SCORE_MEAN_BLOCKS = (9, 9)  # blocks over which scores are averaged: noise is below a third of the next limit

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.errors import CalibrationError
 from wavefield.matching import Reason
+from wavefield.matching.noise import CLUSTER
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import prepare, ready, usable
 from wavefield.robust import robust_std
@@ -102,9 +103,6 @@ def why_rejected(reason: NDArray[np.uint8]) -> NDArray[np.uint16]:
     return out
 
 
-_STRIDE_BLOCKS = 5  # step between the blocks that are used: closer ones share their window
-
-
 def matched_pixels(
     read: Callable[[str, int], NDArray[Any] | None],
     frames: Sequence[int],
@@ -114,7 +112,7 @@ def matched_pixels(
     """Match points of still water in all cameras, to level a rig; return pixels (column, row), (n, 2).
     NaN where a pair does not match. CalibrationError if none of the `frames` is usable in all cameras."""
     rig = geometry.rig
-    cells = np.s_[::_STRIDE_BLOCKS, ::_STRIDE_BLOCKS]
+    cells = np.s_[::CLUSTER, ::CLUSTER]  # closer blocks share beads
     x, y = (v[cells] for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))
     parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in geometry.surface_cameras}
     for done, index in enumerate(frames, 1):

@@ -69,7 +69,8 @@ def frame_weights(
     value, rate = np.zeros((2, 6, now.shape[1]))
     value[used], rate[used] = np.linalg.solve(powers, now), np.linalg.solve(powers, change)
     if smooth:
-        even = place_weights(6)[1]
+        later = -np.diff(PATH_WEIGHTS[6], append=0.0)
+        even = np.concatenate([-later[::-1], later])
         rate = even[:, None] + np.linalg.pinv(powers[:5]) @ (change[:5] - (powers[:5] @ even)[:, None])
     return value.reshape(6, *shape), rate.reshape(6, *shape)
 
@@ -78,13 +79,6 @@ def noise_of_displacements(weights: Float) -> Float:
     """Return the factors (n, ...) on the noise variances of n successive displacements in a weighted sum."""
     padded = np.pad(weights, [(1, 1), *[(0, 0)] * (weights.ndim - 1)])
     return np.asarray(weights * (weights + _NOISE_CORRELATION * (padded[:-2] + padded[2:])))
-
-
-def place_weights(frames: int) -> tuple[Float, Float]:
-    """Return the times of the positions along an even path, and their weights in the velocity at mid-time."""
-    later = -np.diff(PATH_WEIGHTS[frames], append=0.0)
-    t = np.arange(2 * len(later)) - len(later) + 0.5
-    return t, np.concatenate([-later[::-1], later])
 
 
 def row_delay(name: str, geometry: GridGeometry) -> float:
@@ -299,7 +293,7 @@ def _read_path(
                 block[0, k], block[4, k] = nb, na
 
 
-def path_weights(times: Float = EVEN_TIMES, frames: int = 6, at: Float | float = 0.0) -> Float:
+def path_weights(times: Float, frames: int, at: Float | float = 0.0) -> Float:
     """Return the weights (5, 2, 5, m) of five successive displacements along a path, at m times `at`.
 
     Axes: frames that are there (`FRAMES_OF_PATH`); the way from the position in the step's first frame to
@@ -332,7 +326,7 @@ def read_path(
     lattice: BlockLattice,
     X: Float,
     Y: Float,
-    weights: Float | None = None,
+    weights: Float,
 ) -> tuple[Float, NDArray[np.int64]]:
     """Return the motion of the particles that are at pixels X, Y at mid-time, and the blocks read for it.
 
@@ -343,7 +337,7 @@ def read_path(
     `path_weights`.
     """
     nodes = np.shape(X)
-    weights = np.asarray(path_weights() if weights is None else weights, np.float32)
+    weights = np.asarray(weights, np.float32)
     xs, ys = (np.ascontiguousarray(v, dtype=np.float32).ravel() for v in (X, Y))
     out, block = np.empty((6, xs.size), np.float32), np.empty((5, xs.size), np.int64)
     none, nothing = np.zeros(0, np.float32), np.zeros(0, np.bool_)
@@ -386,7 +380,7 @@ def displacements_at_nodes(
     z: Float,
     geometry: GridGeometry,
     path_frames: int,
-    times: Float = EVEN_TIMES,
+    times: Float,
     every: int = 1,
 ) -> CameraDisplacements:
     """Read the displacement in the images of the cameras `names`, for the nodes at z (ny, nx) at mid-time.

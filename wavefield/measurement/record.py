@@ -49,7 +49,7 @@ from wavefield.measurement.error_budget import (
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import Masks, bead_width, images_of, usable
 from wavefield.measurement.model import FieldModel, LearnedRecord, displacement_model, elevation_model
-from wavefield.measurement.paths import displacements_at_nodes
+from wavefield.measurement.paths import EVEN_TIMES, displacements_at_nodes
 from wavefield.measurement.velocity import component_variances, image_variance, solve_motion, velocity
 from wavefield.one_thread import one_thread
 from wavefield.robust import robust_std
@@ -170,7 +170,9 @@ def _learned(
             priors[name] = (
                 _refined(moved[name], prior, OPEN_SIGNAL_TO_NOISE, pool) if name in moved else prior
             )
-    priors = _with_pooled_fraction(priors)
+    # all cameras see the same waves
+    fraction = float(np.mean([prior.undetected_fraction for prior in priors.values()]))
+    priors = {name: replace(prior, undetected_fraction=fraction) for name, prior in priors.items()}
     # the kind of paths with the smallest error, and ripples
     path_frames = EXACT_SIX
     if frame_rate is not None:
@@ -188,12 +190,6 @@ def _learned(
         path_frames,
         (0.0 if sheet else ripple_rise(found.shared, found.total), RIPPLE_BLOCKS * BLOCK * geometry.pixel),
     )
-
-
-def _with_pooled_fraction(priors: Mapping[str, Prior]) -> dict[str, Prior]:
-    """Return the cameras' priors, all with their mean `undetected_fraction`: they see the same waves."""
-    fraction = float(np.mean([prior.undetected_fraction for prior in priors.values()]))
-    return {name: replace(prior, undetected_fraction=fraction) for name, prior in priors.items()}
 
 
 @dataclass(frozen=True)
@@ -282,8 +278,7 @@ def _elevation_samples(
         def estimate(modes: Modes) -> tuple[Float, float]:
             # noise from the scores along the sight lines: if it were larger there than across, the excess
             # would count as waves
-            found = map_elevation(blocks, matches, flat, modes, pixel, whole_beads, noise_across=False)
-            return _without_holes(found)
+            return _without_holes(map_elevation(blocks, matches, flat, modes, pixel, whole_beads, False))
 
         def noise(modes: Modes) -> tuple[Float, float]:
             found = map_elevation(combine(turned), turned, flat, modes, pixel, whole_beads, False)
@@ -317,8 +312,7 @@ def _displacement_samples(
         first, second = (images[name] for images in step.in_time)
 
         def estimate(modes: Modes) -> tuple[Float, float]:
-            found = map_displacement(match, first, second, modes)
-            return _without_holes(found)
+            return _without_holes(map_displacement(match, first, second, modes))
 
         counts = match.valid.astype(np.float32)
         trace = match.hessian[0] + match.hessian[2]
@@ -409,11 +403,11 @@ def _differences(
     }
     flows = {name: camera_flow(one, models[name]) for name, one in found.items()}
     path = (None, flows, None)
-    motion = velocity(path, z, geometry, EXACT_SIX)
+    motion = velocity(path, z, geometry, EXACT_SIX, EVEN_TIMES)
     if motion is None:
         return None
     names = [name for name in flows if name != motion.left_out]
-    displacements = displacements_at_nodes(names, path, z, geometry, EXACT_SIX)
+    displacements = displacements_at_nodes(names, path, z, geometry, EXACT_SIX, EVEN_TIMES)
     good = np.isfinite(motion.misfit) & ((motion.quality & Quality.FILLED) == 0)
     good &= np.isfinite(displacements.moved).all(axis=0)
     if not good.any():

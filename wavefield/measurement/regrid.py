@@ -43,10 +43,11 @@ def push_pull(fields: Float, valid: Mask) -> Float:
     while min(weight.shape[:2]) > 1 and not weight.all():
         sums, weight = (_sums_of_four(part) for part in levels[-1])
         levels.append((sums, weight))
-    out: Float = np.zeros((1, 1, fields.shape[2]), np.float32)
-    for sums, weight in reversed(levels):
-        out = np.where(weight > 0, sums / np.maximum(weight, np.float32(1)), _doubled(out, weight.shape[:2]))
-    return out
+    means = [(sums / np.maximum(weight, np.float32(1)), weight) for sums, weight in levels]
+    out, _ = means.pop()
+    for mean, weight in reversed(means):
+        out = np.where(weight > 0, mean, _doubled(out, weight.shape[:2]))
+    return np.asarray(out)
 
 
 def _sums_of_four(field: Float) -> Float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -20,12 +19,9 @@ Images = Mapping[str, NDArray[Any] | None]
 Range = tuple[float, float]
 Read = Callable[[str, int], NDArray[Any] | None]  # read(camera, frame): an image, or None
 
-PATCH_PX = 96  # side of the patches that are searched for in another camera's image, rectified px
-MAX_EPIPOLAR_PX = 10.0  # largest epipolar error of such a patch, rectified px
+MAX_EPIPOLAR_PX = 10.0  # largest epipolar error of a patch, rectified px
 SEARCH_FACTOR = 5.0  # elevations searched here, over the geometry's range
 MAX_FILLED_RANGE = 0.6  # widen the range if sample frames fill more of it; a long record would exceed it
-MARGIN = 0.3  # added on either side, over the span that was found; at least half of the previous half range
-SEARCHED_STEPS = 2  # sample steps in which search ranges are found
 BORDER_FRACTION = 0.03  # part of the search range, at either end, that counts as its border
 MIN_FRACTION_AT_BORDER = 0.01  # fraction of the nodes there at which the range is too small
 
@@ -122,7 +118,7 @@ def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> 
         }
         for a, b in geometry.pairs:
             if a in flat and b in flat:
-                moved = shifts(flat[a], flat[b], PATCH_PX, _reach((a, b), geometry))
+                moved = shifts(flat[a], flat[b], _reach((a, b), geometry))
                 tried += len(moved)
                 z = _heights(moved[np.isfinite(moved[:, 0])], (a, b), geometry)
                 kept.append(z[(np.abs(z[:, None] - z) < agreement).sum(axis=0) > 1])
@@ -165,7 +161,7 @@ def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, Firs
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if not found.found or all(abs(z - middle) < MAX_FILLED_RANGE * half for z in found.z):
         return settings, found
-    margin = max(MARGIN * (found.z[1] - found.z[0]), 0.5 * half)
+    margin = 0.5 * max(found.z[1] - found.z[0], half)
     wide = (round(found.z[0] - margin, 4), round(found.z[1] + margin, 4))
     return replace(settings, z_range=wide), replace(found, searched=wide)
 
@@ -173,15 +169,15 @@ def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, Firs
 def search_widened(pairs: Iterable[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
     """Return the geometry with search ranges that suit some frames; the same object if they suffice.
     `pairs` are the two frames of sample steps, by camera. Ranges that the user has set are not changed."""
-    searched_pairs = list(islice(pairs, SEARCHED_STEPS))
+    steps = list(pairs)
 
     def read(name: str, frame: int) -> NDArray[Any] | None:
-        image = searched_pairs[frame // 2][frame % 2].get(name)
+        image = steps[frame // 2][frame % 2].get(name)
         if image is None or not usable(image, geometry.rig[name].size):
             return None
         return np.asarray(ready(image, geometry.sights[name].binning))
 
-    first_frames = [2 * k for k in range(len(searched_pairs))]
+    first_frames = [2 * k for k in range(len(steps))]
     settings, usual = geometry.settings, Settings().piv
     if (settings.piv.search_x, settings.piv.search_y) == (usual.search_x, usual.search_y):
         settings = wide_enough(settings, first_guess(read, geometry.velocity_cameras, first_frames))

@@ -344,15 +344,14 @@ def _estimate(
     if flow is None:
         return None
     orders, frames, measured = z_at_mid_time(surfaces, flow, geometry.x, geometry.y, times, late)
-    z = shown = orders[0]
-    motion = velocity(moves, z, geometry, path_frames, may_leave_out, times)
-    if late is not None and motion is not None:
-        z = _without_shutters(shown, motion, geometry)
-        motion = velocity(moves, z, geometry, path_frames, may_leave_out, times)
-    if motion is None:
-        return None
-    if late is not None:
-        z = _without_shutters(shown, motion, geometry)
+    z = orders[0]
+    for _ in range(1 if late is None else 2):
+        motion = velocity(moves, z, geometry, path_frames, times, may_leave_out)
+        if motion is None:
+            return None
+        if late is not None:
+            z = _without_shutters(orders[0], motion, geometry)
+    assert motion is not None
     if geometry.settings.sheet_thickness is not None:  # a light sheet does not rise
         rise = np.zeros_like(z)
     else:

@@ -19,7 +19,7 @@ from wavefield.measurement.outliers import (
     median_misfit,
     outlier_camera,
 )
-from wavefield.measurement.paths import EVEN_TIMES, CameraDisplacements, displacements_at_nodes
+from wavefield.measurement.paths import CameraDisplacements, displacements_at_nodes
 from wavefield.measurement.settings import Settings
 from wavefield.variables import Quality
 
@@ -168,8 +168,8 @@ def velocity(
     z: Float,
     geometry: GridGeometry,
     path_frames: int,
+    times: Float,
     may_leave_out: bool = True,
-    times: Float = EVEN_TIMES,
 ) -> Motion | None:
     """Compute the motion of the water at the nodes at mid-time, by least squares over the cameras.
 
@@ -208,7 +208,7 @@ def mean_flow(
     z: Float,
     geometry: GridGeometry,
     path_frames: int,
-    times: Float = EVEN_TIMES,
+    times: Float,
 ) -> tuple[float, float] | None:
     """Return the median displacement (dx, dy) of the water over a step, metres, from some of the nodes.
     It is 0 if no node was measured, None if fewer than two cameras have displacements."""
