@@ -276,20 +276,9 @@ def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
 
 
 @njit
-def _add_row(row: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray) -> None:
-    """Add a row of pixels to the sums s and sums of squares t of each column; update the maxima `top`."""
-    for x in range(len(row)):
-        v = F(row[x])
-        s[x] += v
-        t[x] += v * v
-        top[x] = max(top[x], v)
-
-
-@njit
-def _add_masked_row(
-    row: np.ndarray, usable: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray
-) -> None:
-    """Do what `_add_row` does, with pixels that are not usable taken as 0."""
+def _add_row(row: np.ndarray, usable: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray) -> None:
+    """Add a row to the sums s and sums of squares t of each column; update the maxima `top`.
+    Pixels that are not usable (0) count as 0."""
     for x in range(len(row)):
         v = F(row[x]) if usable[x] != 0 else F(0)
         s[x] += v
@@ -309,10 +298,7 @@ def _cell_sums(image: np.ndarray, usable: np.ndarray, side: int, rows: np.ndarra
         s[:] = F(0)
         t[:] = F(0)
         for y in range(j * side, j * side + side if j < ny - 1 else h):
-            if usable.size > 0:
-                _add_masked_row(image[y], usable[y], s, t, top)
-            else:
-                _add_row(image[y], s, t, top)
+            _add_row(image[y], usable[y], s, t, top)
         _fold(s, w, side, out[0, j])
         _fold(t, w, side, out[1, j])
 
@@ -320,6 +306,7 @@ def _cell_sums(image: np.ndarray, usable: np.ndarray, side: int, rows: np.ndarra
 @njit
 def _normalize_row(
     row: np.ndarray,
+    usable: np.ndarray,
     m0: np.ndarray,
     m1: np.ndarray,
     s0: np.ndarray,
@@ -331,14 +318,7 @@ def _normalize_row(
     for x in range(len(row)):
         mean = m0[x] + t * (m1[x] - m0[x])
         scale = s0[x] + t * (s1[x] - s0[x])
-        out[x] = (F(row[x]) - mean) * scale
-
-
-@njit
-def _clear_row(usable: np.ndarray, out: np.ndarray) -> None:
-    """Set pixels that are not usable to 0."""
-    for x in range(len(out)):
-        out[x] = out[x] if usable[x] != 0 else F(0)
+        out[x] = (F(row[x]) - mean) * scale if usable[x] != 0 else F(0)
 
 
 @njit
@@ -353,9 +333,7 @@ def _normalize_image(
         j = int(place)
         k = min(j + 1, ny - 1)
         to = out[border + y][border : border + w]  # contiguous for numba, unlike a row of a sliced array
-        _normalize_row(image[y], mean[j], mean[k], scale[j], scale[k], place - F(j), to)
-        if usable.size > 0:
-            _clear_row(usable[y], to)
+        _normalize_row(image[y], usable[y], mean[j], mean[k], scale[j], scale[k], place - F(j), to)
 
 
 class NormalizationCells:
@@ -364,7 +342,7 @@ class NormalizationCells:
 
     def __init__(self, image: np.ndarray, width: float, usable: np.ndarray | None = None) -> None:
         self.image, self.width = np.ascontiguousarray(image), max(width, 1.0)
-        self.usable = NO_MASK if usable is None else usable
+        self.usable = _all_usable(self.image.shape) if usable is None else usable
         h, w = self.image.shape
         self.side = _side(h, w, self.width)
         self.sums = np.empty((2, h // self.side, w // self.side), F)
@@ -422,6 +400,12 @@ def _side(h: int, w: int, width: float) -> int:
     while side > 1 and (width < side or min(h, w) < 8 * side):
         side //= 2
     return side
+
+
+@lru_cache(maxsize=8)
+def _all_usable(shape: tuple[int, int]) -> np.ndarray:
+    """Return the mask of an image of which all pixels are usable."""
+    return np.ones(shape, np.uint8)
 
 
 @lru_cache(maxsize=16)

@@ -24,20 +24,12 @@ MAX_SIZE_TO_WIDTH = 3.0  # objects wider than this many bead widths belong to th
 
 
 def bead_width(image: NDArray[Any]) -> float:
-    """Width at half height of the images of beads, px, from the autocorrelation of the image.
+    """Width at half height of the images of beads, px, from the autocorrelation of the image; 0: a texture.
 
-    The local mean (sigma 4 px) is subtracted first. White noise affects the correlation at zero shift only,
-    so the width is computed from shifts r of 1 and 2 px: for Gaussian beads of standard deviation s, the
-    correlation is exp(-r^2 / 4 s^2). Subtracting the mean also removes a part of each bead, so widths of 2 to
-    7 px come out a tenth to a third too small. A texture has the width 0; it is recognised by the skewness of
-    its brightness, which beads make large.
-
-    Examples
-    --------
-    >>> beads = np.random.default_rng(0).random((200, 200)) > 0.995
-    >>> image = cv2.GaussianBlur(beads.astype(np.float32), (0, 0), 1.5)
-    >>> round(bead_width(image), 1)  # of 3.5
-    2.8
+    White noise affects the correlation at zero shift only, so shifts r of 1 and 2 px are used: for Gaussian
+    beads of standard deviation s, the correlation is exp(-r^2 / 4 s^2). The local mean (sigma 4 px) is
+    subtracted first, which also removes a part of each bead: widths of 2 to 7 px come out a tenth to a third
+    too small. The brightness of beads is skewed, that of a texture is not.
     """
     part = np.ascontiguousarray(image, np.float32)
     around = cv2.GaussianBlur(part, (0, 0), SURROUNDINGS_SIGMA_PX)

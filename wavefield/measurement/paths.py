@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,7 +129,6 @@ def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float,
 Mask = NDArray[np.bool_]
 
 Real = Any  # np.float32: mypy does not follow numba's arithmetic
-Step = TypeVar("Step")
 
 F = np.float32
 
@@ -314,7 +313,7 @@ def path_weights(times: Float, frames: int, at: Float | float = 0.0) -> Float:
     return out
 
 
-def five(steps: Sequence[Step | None]) -> Sequence[Step | None]:
+def five(steps: Sequence[Any]) -> list[Any]:
     """Return five steps, padded from one, three or five steps by None on both sides."""
     missing = [None] * (2 - len(steps) // 2)
     return [*missing, *steps, *missing]
