@@ -4,7 +4,7 @@ import pytest
 from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
 from wavefield.measurement import GridGeometry, Settings
-from wavefield.measurement.paths import common_lateness, elevation_errors, lateness
+from wavefield.measurement.midtime import common_lateness, elevation_errors, lateness
 from wavefield.series import Experiment
 from wavefield.tank import Scene
 

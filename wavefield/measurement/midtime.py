@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.elevation import Surface
-from wavefield.measurement.paths import FRAMES_OF_Z, frame_weights
+from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.paths import FRAMES_OF_Z, frame_weights, middle_row, row_delay
 from wavefield.measurement.velocity import Motion
 from wavefield.variables import AROUND
 
@@ -151,3 +152,46 @@ def frames_used(surfaces: Surfaces) -> int:
     if present[1] and present[4]:
         return 6 if present[0] and present[5] else 4
     return 3 if present[1] or present[4] else 2
+
+
+def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
+    """Return, by camera that measures z, the delay of its rolling shutter at the nodes, (ny, nx)."""
+    out = {}
+    for name in geometry.surface_cameras:
+        sight = geometry.sights[name]
+        out[name] = row_delay(name, geometry) * (sight.position(z)[1] - middle_row(sight))
+    return out
+
+
+def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
+    """Return the mean of `lateness` over the cameras, (ny, nx); None for global shutters or a light sheet."""
+    if not geometry.settings.row_delays or geometry.settings.sheet_thickness is not None:
+        return None
+    return np.asarray(np.mean(list(lateness(z, geometry).values()), axis=0))
+
+
+def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float, Float]:
+    """Return the errors that rolling shutters cause: of z (ny, nx), and in place (2, ny, nx), metres.
+    Camera n, late by tau_n, is off by tau_n (d_xy - D_n d_z), with its sight-line slope D_n; d per step."""
+    late = lateness(z, geometry)
+    mean = np.mean(list(late.values()), axis=0)
+    shift, slope = {}, {}
+    for name, tau in late.items():
+        slope[name] = np.stack(geometry.rig[name].sight_line(geometry.x, geometry.y, z))
+        shift[name] = (tau - mean) * (d[:2] - slope[name] * d[2])
+    # a difference between the two cameras of a pair appears as an elevation
+    along = square = np.float32(0.0)
+    for a, b in geometry.pairs:
+        parallax = slope[b] - slope[a]
+        along = along - np.sum(parallax * (shift[b] - shift[a]), axis=0)
+        square = square + np.sum(np.square(parallax), axis=0)
+    error = along / square
+    return np.asarray(error), np.asarray(shift[geometry.reference] + slope[geometry.reference] * error)
+
+
+def without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float:
+    """Return the elevation z (ny, nx), metres, corrected for the errors that rolling shutters cause."""
+    measured = np.isfinite(motion.d).all(axis=0)
+    error, (x, y) = elevation_errors(z, np.where(measured, motion.d, 0.0), geometry)
+    z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))
+    return np.asarray((z + x * z_x + y * z_y - error).astype(np.float32))

@@ -91,41 +91,6 @@ def middle_row(sight: Sight) -> float:
     return 0.5 * (sight.camera.size[1] - 1)
 
 
-def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
-    """Return, by camera that measures z, the delay of its rolling shutter at the nodes, (ny, nx)."""
-    out = {}
-    for name in geometry.surface_cameras:
-        sight = geometry.sights[name]
-        out[name] = row_delay(name, geometry) * (sight.position(z)[1] - middle_row(sight))
-    return out
-
-
-def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
-    """Return the mean of `lateness` over the cameras, (ny, nx); None for global shutters or a light sheet."""
-    if not geometry.settings.row_delays or geometry.settings.sheet_thickness is not None:
-        return None
-    return np.asarray(np.mean(list(lateness(z, geometry).values()), axis=0))
-
-
-def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float, Float]:
-    """Return the errors that rolling shutters cause: of z (ny, nx), and in place (2, ny, nx), metres.
-    Camera n, late by tau_n, is off by tau_n (d_xy - D_n d_z), with its sight-line slope D_n; d per step."""
-    late = lateness(z, geometry)
-    mean = np.mean(list(late.values()), axis=0)
-    shift, slope = {}, {}
-    for name, tau in late.items():
-        slope[name] = np.stack(geometry.rig[name].sight_line(geometry.x, geometry.y, z))
-        shift[name] = (tau - mean) * (d[:2] - slope[name] * d[2])
-    # a difference between the two cameras of a pair appears as an elevation
-    along = square = np.float32(0.0)
-    for a, b in geometry.pairs:
-        parallax = slope[b] - slope[a]
-        along = along - np.sum(parallax * (shift[b] - shift[a]), axis=0)
-        square = square + np.sum(np.square(parallax), axis=0)
-    error = along / square
-    return np.asarray(error), np.asarray(shift[geometry.reference] + slope[geometry.reference] * error)
-
-
 Mask = NDArray[np.bool_]
 
 Real = Any  # np.float32: mypy does not follow numba's arithmetic

@@ -27,26 +27,22 @@ from wavefield.measurement.displacement import Flows, flows
 from wavefield.measurement.elevation import Surface, surface
 from wavefield.measurement.error_budget import TERMS, bead_tilt, error_budget
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.images import (
-    Frames,
-    Images,
-    Masks,
-    images_of,
-    masked_nodes,
-)
+from wavefield.measurement.images import Frames, Images, Masks, images_of, masked_nodes
 from wavefield.measurement.midtime import (
     MidTime,
     StepEstimate,
     Surfaces,
+    common_lateness,
     rise_of_water,
     slope,
+    without_shutters,
     z_at_mid_time,
 )
 from wavefield.measurement.model import Model
-from wavefield.measurement.paths import EVEN_TIMES, common_lateness, elevation_errors
+from wavefield.measurement.paths import EVEN_TIMES
 from wavefield.measurement.record import learn, sample_steps
 from wavefield.measurement.search_range import search_widened
-from wavefield.measurement.velocity import Motion, mean_flow, velocity
+from wavefield.measurement.velocity import mean_flow, velocity
 from wavefield.one_thread import one_thread
 from wavefield.robust import robust_std
 from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality, frames_of_path
@@ -350,7 +346,7 @@ def _estimate(
         if motion is None:
             return None
         if late is not None:
-            z = _without_shutters(orders[0], motion, geometry)
+            z = without_shutters(orders[0], motion, geometry)
     assert motion is not None
     if geometry.settings.sheet_thickness is not None:  # a light sheet does not rise
         rise = np.zeros_like(z)
@@ -362,11 +358,3 @@ def _estimate(
 def _departure(orders: Sequence[Float], frames: NDArray[np.uint8]) -> float:
     """Return the robust variance, over the nodes, of z from six frames minus z from four, m^2; else 0."""
     return robust_std((orders[0] - orders[1])[frames == 6]) ** 2 if len(orders) > 2 else 0.0
-
-
-def _without_shutters(z: Float, motion: Motion, geometry: GridGeometry) -> Float:
-    """Return the elevation z (ny, nx), metres, corrected for the errors that rolling shutters cause."""
-    measured = np.isfinite(motion.d).all(axis=0)
-    error, (x, y) = elevation_errors(z, np.where(measured, motion.d, 0.0), geometry)
-    z_y, z_x = (slope(z, geometry.grid.step, axis) for axis in (0, 1))
-    return np.asarray((z + x * z_x + y * z_y - error).astype(np.float32))
