@@ -136,7 +136,8 @@ def subtract_strain(
 
 @njit
 def _strains(moments: np.ndarray, slope: np.ndarray, j: int, i: int) -> Any:
-    """Return what strain adds to the x and y score of block (j, i): by brightness, by second derivatives."""
+    """Return four scores that strain adds to block (j, i), without their coefficients.
+    The first two (x, y) come from the brightness of the image, the others from its second derivatives."""
     ux, shear, vy = slope[0, j, i], slope[1, j, i] + slope[2, j, i], slope[3, j, i]
     divergence = ux + vy
     return (
@@ -151,7 +152,8 @@ def _strains(moments: np.ndarray, slope: np.ndarray, j: int, i: int) -> Any:
 def _strain_products(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float, float, float, float]:
-    """Return the sums a a, a b, b b, r a, r b over usable blocks of both terms of `_strains` and scores r."""
+    """Return a a, a b, b b, r a, r b, summed over usable blocks, for a fit of the terms a, b of `_strains`.
+    r are the scores `sums` (2, ny, nx); `count` (ny, nx) is 1 for usable blocks, else 0."""
     aa = ab = bb = ra = rb = 0.0
     for j in range(count.shape[0]):
         for i in range(count.shape[1]):
@@ -202,7 +204,8 @@ def step(
 
 
 def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
-    """Replace u, v farther than `limit` px from the median of 5 x 5 blocks by it, in place; return where."""
+    """Replace outliers in u, v, in place, by the median of 5 x 5 blocks; return their mask (ny, nx).
+    A block is an outlier if its distance from the median, |du| + |dv|, is more than `limit` px."""
     median_u, median_v = cv2.medianBlur(u, 5), cv2.medianBlur(v, 5)
     outlier: np.ndarray = np.abs(u - median_u) + np.abs(v - median_v) > F(limit)
     np.copyto(u, median_u, where=outlier)
@@ -234,8 +237,8 @@ def block_weights(
     out: np.ndarray,
     block: int = BLOCK,
 ) -> None:
-    """Write 1 to out (ny, nx) for blocks that u, v, px, leave inside image b and unmasked; else 0.
-    Masks (h, w) are 1 where the whole block around a pixel is usable, and empty if nothing is masked."""
+    """Write 1 to out (ny, nx) for blocks that the displacement u, v, px, leaves inside image b, unmasked.
+    Other blocks get 0. Masks (h, w) are 1 where the whole block around a pixel is usable; empty: no mask."""
     ny, nx = u.shape
     for j in range(ny):
         for i in range(nx):

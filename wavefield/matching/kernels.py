@@ -426,8 +426,9 @@ def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
 def final_sums(
     first: Array, second: Array, u: Array, v: Array, slopes: Array, work: WorkSpace, out: Array
 ) -> None:
-    """Write the sums of each block to out (12, ny, nx): scores (0, 1), moments (5 on); 2 to 4 are left out.
-    The moments are those of `_strip_sums`. The displacement u, v has the gradients `slopes` (4, ny, nx)."""
+    """Write sums over each block to out (12, ny, nx): scores in 0 and 1, moments from 5 on.
+    Planes 2 to 4 are left to the caller. The moments are those of `_strip_sums`; the displacement u, v
+    (ny, nx), px, is that of the block's centre, and has the gradients `slopes` (4, ny, nx)."""
     n = u.shape[1] * BLOCK
     rows, sums = work.rows, work.sums
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
@@ -455,7 +456,7 @@ def final_sums(
 
 @njit
 def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.int32, out: Array) -> None:
-    """Write where each pixel of a row would climb: the index of the brightest of 3 x 3 pixels.
+    """Write to `out` where each pixel of a row would climb: the index of the brightest of 3 x 3 pixels.
     The rows start one pixel left of the image, of `width` px; `first` is the index of the first pixel."""
     for x in range(len(out)):
         at = np.int32(first + x)
@@ -503,7 +504,8 @@ def bead_blocks(image: Array, out: Array) -> None:
 
 @njit
 def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> None:
-    """Write gx gx, gx gy, gy gy, summed over the pixels that `bead_blocks` assigned, to out (ny nx, 3)."""
+    """Write sums of gx gx, gx gy, gy gy over the whole beads of each block to out (ny nx, 3).
+    `block` (h, w) comes from `bead_blocks`; `image` includes its border."""
     h, n = block.shape
     out[:] = F(0)
     gx, gy = work.rows[3], work.rows[4]
@@ -542,7 +544,8 @@ def bead_scores(
     work: WorkSpace,
     out: Array,
 ) -> None:
-    """Write the scores (ny nx, 2) summed over the pixels that `bead_blocks` assigned (`final_sums`)."""
+    """Write the scores, sums of gx r and gy r over the whole beads of each block, to out (ny nx, 2).
+    `block` (h, w) comes from `bead_blocks`; `final_sums` describes the other arguments."""
     n = u.shape[1] * BLOCK
     rows = work.rows
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])

@@ -379,7 +379,8 @@ def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
 
 @reassociating
 def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
-    """Multiply a row of a field, given by its parts, by A at its four mirrored places, a0 to a3, in place."""
+    """Multiply a row of a field by A, in place: a0 to a3 are A at the four places of `_four_places`.
+    `top` holds the parts of the field that are even along y, `bottom` the odd ones."""
     ee, eo, oe, oo = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     for i in range(len(a0)):
         f0, f1, f2, f3 = _four_places(ee[i], eo[i], oe[i], oo[i])

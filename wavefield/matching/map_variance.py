@@ -65,7 +65,8 @@ class PosteriorVariance:
         return [hole_variance(one) for one in self._spectrum]
 
     def __call__(self, information: Float) -> tuple[Float, Float]:
-        """Return the variances of noise and of missing waves, (c, ny, nx), from the information of blocks."""
+        """Return the variances of noise and of missing waves, (c, ny, nx), in the field's unit squared.
+        `information` (ny, nx) is the inverse variance of the value of each block."""
         waves = self._forward[0] @ (information @ self._forward[1])
         x = self._inverse[0] @ ((self._kernels * waves) @ self._inverse[1])
         log_variances = np.empty((len(self._variance), *x.shape[1:]), np.float32)

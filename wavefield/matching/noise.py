@@ -73,7 +73,8 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
-    """Return a mask (ny, nx) of blocks around which 7 x 7 have < 0.15 times the typical inverse variance."""
+    """Return a mask (ny, nx) of blocks in holes, where 7 x 7 blocks have little information on average.
+    That is at most 0.15 of the typical one. `information` (ny, nx) is the inverse variance of each block."""
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )

@@ -87,7 +87,7 @@ def locate(patch: Float, around: Float) -> tuple[float, float, float]:
 
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return those of the displacements (n, 2), px, that differ by < 12 px + 25 % from another patch's."""
+    """Return the displacements (n, 2), px, that agree with that of another patch within 12 px + 25 %."""
     moved = moved[np.isfinite(moved[:, 0])]
     apart = np.hypot(*(moved[:, None] - moved).T) - TOLERANCE_PX - 0.25 * np.hypot(*moved.T)
     out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]

@@ -264,9 +264,12 @@ def reevaluate(
 def scores_at(
     found: Displacement, a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray
 ) -> Displacement:
-    """Return the match `found` of two cameras with new u, v, scores and Hessians; validity stays.
-    Two cameras see a bead unequally bright, so a block with a part of it would seem to move. Every pixel
-    therefore counts in the block with the top of its bead. Blocks next to unusable ones get 0."""
+    """Return the match `found` of two cameras with scores and Hessians at a new u, v (ny, nx), float32, px.
+
+    Two cameras see a bead unequally bright, so that a block with a part of it would seem to move. Every pixel
+    therefore counts in the block that contains the brightest point of its bead. The validity of the blocks
+    stays that of `found`; scores and Hessians are 0 for blocks that are not usable, and next to them.
+    """
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     pair.update_weights(u, v)
     block, hessian = pair.a.beads
@@ -366,7 +369,7 @@ def _reasons(
     correlation: np.ndarray,
     energy: np.ndarray,
 ) -> np.ndarray:
-    """Return the bits of `Reason` of the blocks, (ny, nx), from the results of `_correlation`."""
+    """Return why blocks are not valid: bits of `Reason`, (ny, nx), from the results of `_correlation`."""
     settings, shape = pair.settings, pair.b.shape
     inside, weight = np.empty((2, *u.shape), np.float32)
     block_weights(NO_MASK, NO_MASK, u, v, *shape, inside)

@@ -209,8 +209,9 @@ class WavenumberRings:
         return np.asarray(total.reshape(-1, SECTORS, RINGS) / np.maximum(self.sector_count, 1))
 
     def significant(self, ratio: Float) -> NDArray[np.bool_]:
-        """Return a mask (rings,) of rings whose `ratio` of power to noise stands out; the first three do.
-        It is above 0.3 in all rings up to there, or above 1.5, also averaged over three, at long waves."""
+        """Return a mask (rings,), True for rings whose power stands out from the noise, and the first three.
+        The `ratio` of power to noise is above 0.3 in this ring and all before, or it is above 1.5 here and on
+        average over three rings, at less than 2 rad per block."""
         occupied = self.count > 0
         last = self.count_until_false(occupied & (ratio > DETECTED_SIGNAL_TO_NOISE))
         total, count = (np.convolve(f, np.ones(3), mode="same") for f in (ratio * self.count, self.count))
@@ -219,7 +220,8 @@ class WavenumberRings:
         return np.asarray((np.arange(RINGS) < last) | beyond_gap)
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
-        """Return the power over the noise, averaged over five rings; the first four have other errors."""
+        """Return the ratio of power to noise, (rings,), averaged over five neighbouring rings.
+        The first four rings do not count, because they contain calibration errors."""
         count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")

@@ -122,7 +122,7 @@ def joined(cameras: Sequence[str]) -> str:
 
 
 def rms_within(values: NDArray[Any]) -> tuple[float, float]:
-    """Return the rms of the finite values up to three times their rms, and the fraction (0 to 1) beyond."""
+    """Return the rms of finite values without those beyond three times the rms of all, and their fraction."""
     values = values[np.isfinite(values)]
     if values.size == 0:
         return float("nan"), 0.0

@@ -87,7 +87,7 @@ def map_elevation(
     whole_beads: bool,
     noise_across: bool = True,
 ) -> ElevationEstimate:
-    """Estimate the most probable elevation (MAP) from the matches of all pairs, with `combine(matches)`.
+    """Estimate the most probable elevation (MAP) from the matches of all pairs and `blocks`, from `combine`.
     A block with score s and Hessian H for displacements has -dD . s and dD H dD for z (parallax dD)."""
     z = blocks.filled
     edges, waves = modes.split(z)
@@ -300,7 +300,7 @@ def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPair
 
 
 def windowed(matches: Sequence[PairMatch], geometry: GridGeometry) -> Float:
-    """Return z at the nodes, (ny, nx), metres, from the matches alone, without a spectrum; else NaN."""
+    """Return z at the nodes, (ny, nx), m, from matches alone, without a spectrum; NaN where not valid."""
     blocks = combine(matches)
     if not blocks.valid.any():
         return np.full(geometry.grid.shape, np.nan, np.float32)

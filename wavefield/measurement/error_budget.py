@@ -181,7 +181,7 @@ def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float
 
 
 def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
-    """Return the kind of path (4, 6 or 7) with the smallest error, for the noise of dx + dy + dz, m^2."""
+    """Return the kind of path (4, 6, 7) of smallest error; `noise_variance` is the sum of dx, dy, dz, m^2."""
 
     def error(code: int) -> float:
         half = PATH_WEIGHTS[code]

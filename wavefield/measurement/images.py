@@ -167,7 +167,7 @@ Masks = Mapping[str, Pixels | None]
 
 
 def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
-    """Prepare the masks of one instant (True on pixels to ignore), the same array only once."""
+    """Prepare the masks of one instant (True on pixels to ignore); an unchanged array, only once."""
     out = {}
     for name in geometry.cameras:
         pixels = masks.get(name)
@@ -272,7 +272,8 @@ class Images:
 def images_of(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks | None = None
 ) -> Images:
-    """Prepare the usable frames of one instant; `beads` are bead widths, raw px, masks True where ignored."""
+    """Prepare the usable frames of one instant; `beads` are the widths of the beads by camera, raw px.
+    `masks` are True on pixels to ignore."""
     masks = masks or {}
     found: dict[str, NDArray[Any]] = {}
     for name in geometry.cameras:

@@ -147,7 +147,7 @@ def slope(z: Float, step: float, axis: int) -> Float:
 
 
 def frames_used(surfaces: Surfaces) -> int:
-    """Return from how many of six frames, 6, 4, 3 or 2, z at mid-time follows; None is a missing one."""
+    """Return how many frames z at mid-time can come from: 6, 4, 3 or 2. Missing surfaces are None."""
     present = [one is not None for one in surfaces]
     if present[1] and present[4]:
         return 6 if present[0] and present[5] else 4

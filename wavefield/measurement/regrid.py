@@ -131,7 +131,7 @@ def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def place_of(p: float, n: int) -> tuple[int, np.float32]:
-    """Split a position in blocks, limited to one block from either end of n, into block and rest (0 to 1)."""
+    """Split a position, kept one block from either end of n, into a block's number and the rest, 0 to 1."""
     lowest, highest = np.float32(1.0), np.float32(n) - np.float32(2.001)
     q = min(max(np.float32(p), lowest), highest)
     i: Any = np.int32(max(lowest, q))  # max(lowest, NaN) is lowest
