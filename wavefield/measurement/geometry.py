@@ -279,6 +279,7 @@ class GridGeometry:
         distance = float(np.linalg.norm(rig[self.reference].centre - [*self.middle, 0.0]))
         reach = settings.sheet_thickness or _Z_RANGE * distance
         self.z_range = settings.z_range or (-reach, reach)
+        self._check_view()
         coarsest = max(pixel_at(rig[name], *self.middle) for name in self.cameras)
         self.sights = {}
         for name in self.cameras:  # bin the images of finer cameras to about the coarsest pixel on the water
@@ -291,8 +292,6 @@ class GridGeometry:
         self.views: dict[str, RectifiedView] = rectified_views(
             surface_sights, self.plane, self.middle, settings.stereo
         )
-        if not any((self.views[a].visible & self.views[b].visible).any() for a, b in self.pairs):
-            raise RigError("no pair of cameras sees the grid in common: does the grid lie in their view?")
         self.prepared_masks: dict[str, tuple[Pixels, Covered]] = {}  # the last mask of each camera
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -374,6 +373,16 @@ class GridGeometry:
             return planned
         rest = tuple(n for n in self.surface_cameras if n in present)
         return pairs_of(self.rig, rest) if len(rest) >= 2 else ()
+
+    def _check_view(self) -> None:
+        """Raise RigError if no node is seen by both cameras of a pair."""
+        heights = (self.z_range[0], 0.0, self.z_range[1])
+        visible = {
+            name: np.any([self.rig[name].sees(self.x, self.y, z) for z in heights], axis=0)
+            for name in self.surface_cameras
+        }
+        if not any((visible[a] & visible[b]).any() for a, b in self.pairs):
+            raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
 
     def _fitting_pixel(self) -> float:
         """Return the side of a rectified pixel, m: the coarsest camera's, or less on a fine grid."""

@@ -189,11 +189,7 @@ def search_widened(pairs: Iterable[tuple[Images, Images]], geometry: GridGeometr
 
 
 def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
-    """Return whether more than 1 % of the elevations z lie within 3 % of an end of a range, or beyond.
-
-    >>> at_border(np.array([[0.01, 0.099], [np.nan, 0.02]]), (-0.1, 0.1))
-    True
-    """
+    """Return whether more than 1 % of the elevations z lie within 3 % of an end of a range, or beyond."""
     known = z[np.isfinite(z)]
     if not known.size:
         return False

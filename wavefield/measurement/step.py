@@ -49,14 +49,12 @@ from wavefield.variables import AROUND, CUBE_FIELDS, TABLE, FrameStatus, Quality
 
 Series = Mapping[str, Sequence[NDArray[Any] | None]]
 Mask = NDArray[np.bool_]
+Float = NDArray[np.floating]
 
 # Version of the measurement, part of every cube's recipe. Raise it with every change that alters the values
 # of a cube. A cube that was begun with another version is then not continued.
 ALGORITHM = 46
 MIN_MEASURED = 0.05  # least fraction of measured nodes in view; below, a step has no values
-
-
-Float = NDArray[np.floating]
 
 
 @one_thread()
