@@ -62,7 +62,7 @@ def test_real_texture_is_measured_however_far_it_moves(shared, shift):
 
 
 def test_a_measurement_without_a_stated_range_finds_it_in_its_frames():
-    rig = paper_rig(0.5, crop=0.4)
+    rig = paper_rig(0.5, crop=0.6)
     grid = Grid(x=(-0.1, 0.1), y=(-0.08, 0.08), step=0.01)
     geometry = GridGeometry(rig, grid)
     width, height = rig["cam1"].size
