@@ -146,9 +146,10 @@ def lost_by_paths(waves: WaveRings, path_frames: int, times: Float) -> float:
 def orbits(waves: WaveRings, path_frames: int) -> float:
     """Return the variance of the rise per step, m^2, lost because long waves i carry short waves j along.
 
-    A particle that wave i displaces by xi has the velocity u + xi u'. The phase of the second term turns by
-    p_i + p_j or p_i - p_j per frame. With the gains K of velocities and Q of positions, and D = 1 - Q(p_i), c
-    sum S_i S_j (k_j p_j)^2 ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) - K(p_i + p_j) - D)^2) is lost.
+    A particle that wave i displaces by xi has the velocity u + xi u', whose second term turns by p_i + p_j or
+    p_i - p_j per frame. The loss is c sum S_i S_j (k_j p_j)^2 ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) -
+    K(p_i + p_j) - D)^2): variance S, wavenumber k and phase p of a wave; gains K of velocities and Q of
+    positions; D = 1 - Q(p_i); and c = 0.75 for directions.
     """
     p, gain = waves.phase, path_gain(waves.phase, path_frames)
     of_sum, of_difference = (path_gain(p[:, None] + one, path_frames) for one in (p, -p))

@@ -260,12 +260,13 @@ def _read_path(
 def path_weights(times: Float, frames: int, at: Float | float = 0.0) -> Float:
     """Return the weights (5, 2, 5, m) of five successive displacements along a path, at m times `at`.
 
-    Axes: frames that are there (`FRAMES_OF_PATH`); the way from the position in the step's first frame to
-    that at `at`, and the displacement per interval at `at`; displacement. Times are in frame intervals from
-    mid-time. With positions X0 and X in the first frame and at mid-time, four even positions give X0 = X -
-    d01/2 + (d12 - d-10)/16 and dX/dt dt = (26 d01 - d-10 - d12)/24. Six positions give dX/dt dt = (34 d01 +
-    10 (d-10 + d12) - 3 (d-2-1 + d23))/48 with 0.4 times the noise variance (frames = 6), or exactly to the
-    fifth degree (2134 d01 - 116 (d-10 + d12) + 9 (d-2-1 + d23))/1920 (frames = 7).
+    The first axis is the frames that are there (`FRAMES_OF_PATH`); the second, the way from the position in
+    the step's first frame to that at `at`, and the displacement per interval at `at`; the third, the
+    displacement. Times are in frame intervals from mid-time. For even times, with the positions X0 in the
+    first frame and X at mid-time, four frames give X0 = X - d01/2 + (d12 - d-10)/16 and dX/dt dt = (26 d01 -
+    d-10 - d12)/24. Six give (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48 with 0.4 times the noise variance
+    (frames = 6), or (2134 d01 - 116 (d-10 + d12) + 9 (d-2-1 + d23))/1920, exact to the fifth degree (frames =
+    7).
     """
     at = np.ravel(at)
     out = np.empty((5, 2, 5, at.size))
