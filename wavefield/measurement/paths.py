@@ -92,12 +92,8 @@ def middle_row(sight: Sight) -> float:
 
 
 Mask = NDArray[np.bool_]
-
 Real = Any  # np.float32: mypy does not follow numba's arithmetic
-
 F = np.float32
-
-
 # NaN must propagate, but sums may be reordered
 _LOOSE = {"contract", "reassoc"}
 
