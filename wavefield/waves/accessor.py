@@ -38,8 +38,7 @@ class WavesAccessor:
 
 def _method(name: str, field: str | None) -> Callable[..., Any]:
     """Return a method of the accessor that calls the estimator `name` of `wavefield.waves`.
-    If `field` is None, the estimator receives the cube. Otherwise the method takes the name of a variable, by
-    default `field`, and the estimator receives this variable."""
+    The estimator receives the cube if `field` is None, otherwise the named variable, by default `field`."""
 
     def call_with_cube(self: WavesAccessor, *args: Any, **options: Any) -> Any:
         return getattr(waves, name)(self._cube, *args, **options)

@@ -143,9 +143,7 @@ def one_pass(
     progress: Progress | None,
     each: Each | None = None,
 ) -> Sums:
-    """Read a cube once, and return the sums over its segments that the wave products need.
-    `requested` names the spectra to sum; `progress` is called with the number of parts done and of all parts.
-    `each(work, items)` calls `work` for every item on workers; without it, this process computes."""
+    """Read a cube once, and return the sums over its segments that the wave products need."""
     record = welch.record
     scale = moments.rough_scales(cube, record, list(moments.QUANTITIES.values()))
     read = Reader([cube[name] for name in FIELDS], record)

@@ -20,10 +20,8 @@ SHARED = 0.1
 
 
 def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
-    """Return the lowest `count` Fourier coefficients of time series, (count, segments * points).
-    The function cuts `series` (time, points) into segments of `segment` steps that overlap by half. From each
-    segment it subtracts the mean, and it applies a Hann window. The first coefficient is at frequency
-    zero."""
+    """Return the lowest `count` Fourier coefficients of the segments of `series` (time, points).
+    The result is (count, segments * points); segments overlap by half, under a Hann window."""
     half = segment // 2
     window = hann(segment).astype(series.dtype)[:, None]
     out = []
@@ -35,8 +33,7 @@ def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
 
 def bicoherence_of(z: np.ndarray) -> np.ndarray:
     """Return the bicoherence of each pair of frequencies, (n, n), from coefficients z (n, samples).
-    It is |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>) with omega3 = omega1 + omega2 and the mean <> over
-    samples. It is NaN where omega1 or omega2 is zero or omega3 is not among the n frequencies."""
+    It is NaN where omega1 or omega2 is zero, or omega1 + omega2 is not among the n frequencies."""
     n = z.shape[0]
     out = np.full((n, n), np.nan)
     power = (np.abs(z) ** 2).sum(axis=1)
@@ -50,19 +47,16 @@ def bicoherence_of(z: np.ndarray) -> np.ndarray:
 
 
 def correlations_of(z: np.ndarray) -> np.ndarray:
-    """Return the squared correlation of each pair of frequencies, (n, n), from Fourier coefficients z.
-    It is |<Z1 Z2*>|^2 / (<|Z1|^2> <|Z2|^2>), with the mean <> over the samples of z (n, samples)."""
+    """Return the squared correlation of each pair of frequencies, (n, n), over samples of z (n, samples)."""
     gram = np.abs(z @ z.conj().T) ** 2
     power = np.maximum(gram.diagonal(), 1e-300)
     return np.asarray(gram / np.sqrt(power[:, None] * power))
 
 
 def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarray:
-    """Return the largest tricoherence of each pair of frequencies, (n, n), from z (n, samples).
-    `z` holds Fourier coefficients. The result is the maximum of |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3
-    Z4|^2>) over omega3 and omega4 with omega3 + omega4 = omega1 + omega2. `shared` (n, n) is the modulus r of
-    the correlation of any two frequencies. Left out are omega3 within two lines of omega1, and cases with r13
-    r24 + r14 r23 above `limit`. The result is NaN if no case remains."""
+    """Return the largest tricoherence of each pair of frequencies, (n, n), from coefficients z (n, samples).
+    Left out are omega3 within two lines of omega1, and quartets whose correlations by leakage, from `shared`
+    (n, n), exceed `limit`."""
     n = z.shape[0]
     (herk,) = linalg.get_blas_funcs(("herk",), (z,))
     value = np.full((n, n), np.nan)
@@ -104,17 +98,16 @@ SAMPLES = 4000  # largest number of segments times points, for the cost; further
 
 
 def _level_of_one(surrogates: list[np.ndarray]) -> np.ndarray:
-    """Return the bicoherence, (n, n), that each pair of frequencies exceeds by chance in 5 % of cases.
-    `surrogates` are bicoherences (n, n) of series with random phases. The mean of their squares is 1 / N,
-    which gives the number N of independent samples."""
+    """Return the bicoherence that each pair of frequencies exceeds by chance in 5 % of cases, (n, n).
+    The mean square of the `surrogates`, bicoherences of random phases, is 1 / N for N independent samples."""
     mean = np.mean(np.square(surrogates), axis=0)
     return np.asarray(np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9))))
 
 
 def _level_of_largest(surrogates: list[np.ndarray]) -> np.ndarray:
-    """Return the tricoherence, (n, n), that each pair of frequencies exceeds by chance in 5 % of cases.
-    `surrogates` are tricoherences (n, n) of series with random phases. Each is the largest of many values, so
-    the level is a quantile of Gumbel's distribution with their mean and standard deviation."""
+    """Return the tricoherence that each pair of frequencies exceeds by chance in 5 % of cases, (n, n).
+    It is a quantile of Gumbel's distribution, since each of the `surrogates` is the largest of many values.
+    """
     quantile, count = -np.log(-np.log(1 - CHANCE)), len(surrogates)
     # Student's t instead of a normal quantile, because mean and scale are of few surrogates
     wider = special.stdtrit(count - 1, 1 - CHANCE) / special.ndtri(1 - CHANCE) * np.sqrt(1 + 1 / count)

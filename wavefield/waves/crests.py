@@ -23,9 +23,7 @@ LEVELS = np.arange(0.0, 5.01, 0.25)  # in standard deviations; one wave in 270,0
 
 def extremes(series: Array) -> tuple[Array, Array, Array]:
     """Return the start, crest height and trough depth of each wave in a series (time,), each (waves,).
-    A wave lies between two zero up-crossings. Its start is the index of the last step before the first of
-    them. Heights and depths are in the unit of the series, and depths are positive. A parabola through three
-    steps refines them. The results are empty if there are fewer than two up-crossings."""
+    A wave lies between two zero up-crossings; a parabola through three steps refines its crest and trough."""
     start = np.flatnonzero((series[:-1] < 0) & (series[1:] >= 0))
     if start.size < 2:
         return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
@@ -42,8 +40,7 @@ def extremes(series: Array) -> tuple[Array, Array, Array]:
 
 
 def _series(field: xr.DataArray, record: Record) -> list[Array]:
-    """Return the elevations (time, points) in each uninterrupted run of steps, at points about 8 cm apart.
-    The list has one array per run of `record`. `field` is the elevation z over (time, y, x)."""
+    """Return the elevation z at points about 8 cm apart, (time, points), for each run of the record."""
     read = Reader([field], record)
     apart_y, apart_x = (max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx))
     runs = []
@@ -57,11 +54,8 @@ def _series(field: xr.DataArray, record: Record) -> list[Array]:
 
 
 def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array, Array]:
-    """Return sums of powers of the elevation and numbers of crests and troughs in each block of steps.
-    `runs` are elevations (time, points), which are cut into blocks of `block` steps; a shorter rest is left
-    out. The first result, (blocks, 5), holds the sums of z^0 to z^4 over steps and points. The other two,
-    (blocks, levels), are the numbers of crests and of troughs that reach each of `LEVELS`, in units of
-    `sigma`, m."""
+    """Return sums of z^0 to z^4 (blocks, 5), and the numbers of crests and of troughs (blocks, levels).
+    The `runs` (time, points) are cut into blocks of `block` steps; levels are `LEVELS` times `sigma`."""
     sums, above = [], []
     for run in runs:
         count = run.shape[0] // block
@@ -80,8 +74,7 @@ def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array
 
 
 def _moments(sums: Array) -> Array:
-    """Return significant height, skewness and excess kurtosis, (..., 3).
-    `sums` (..., 5) are the sums of z^0 to z^4 over the samples."""
+    """Return significant height, skewness and excess kurtosis, (..., 3); `sums` (..., 5) are of z^0 to z^4."""
     mean, m2, m3, m4 = (sums[..., p] / sums[..., 0] for p in (1, 2, 3, 4))
     variance = m2 - mean**2
     third = m3 - 3 * mean * m2 + 2 * mean**3
@@ -91,8 +84,7 @@ def _moments(sums: Array) -> Array:
 
 def tayfun(level: Array, skewness: float) -> Array:
     """Return the probability that a crest of a second-order sea exceeds a level (Tayfun 1980).
-    It is exp(-(sqrt(1 + 2 m x) - 1)^2 / 2 m^2), where x is `level`, in standard deviations of the elevation,
-    and m is a third of the skewness. For a skewness of zero or less it is Rayleigh's exp(-x^2 / 2)."""
+    The level is in standard deviations of z. A skewness of zero or less gives Rayleigh's distribution."""
     steepness = max(float(skewness), 0.0) / 3
     level = np.asarray(level, float)
     if steepness < 1e-6:

@@ -66,15 +66,14 @@ class Requested:
 
 
 def sources(names: Sequence[str]) -> list[str]:
-    """Return the fields of a cube from which the quantities `names` are computed: some of z, z_t, u, v, w."""
+    """Return the fields of a cube from which the quantities `names` are computed."""
     needed = {field for name in names for field in SOURCES[name]}
     return [field for field in ("z", "z_t", "u", "v", "w") if field in needed]
 
 
 class _Advection:
-    """Array (steps, ny, nx) of the quantity nl or rise, which computes its values when steps are read.
-    nl is (u - U) . grad z and rise is z_t + U . grad z, with the current U of `welch`. `fields` holds z, z_t,
-    u and v, each (steps, ny, nx). Reading also writes the values at 16 nodes to ``points`` (nodes, steps)."""
+    """Array (steps, ny, nx) of nl or rise, whose values are computed when steps are read.
+    Reading also writes the values at 16 nodes to ``points`` (nodes, steps)."""
 
     def __init__(self, fields: Mapping[str, Array], welch: Welch, name: str) -> None:
         self.name = name
@@ -105,11 +104,9 @@ def transforms(
     welch: Welch,
     memory: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
-    """Return the spatial transforms (cells, steps) of the quantities `names` in half a segment.
-    `fields` holds fields (steps, ny, nx) of the cube by name. The function removes them from it to free
-    memory. The result holds each transform under the name of the quantity, and values at 16 nodes, (nodes,
-    steps), under "points <name>". `memory` may hold earlier transforms by quantity, which the function
-    overwrites."""
+    """Return the spatial transforms (cells, steps) of the quantities `names` in half a segment, by name.
+    "points <name>" (nodes, steps) holds values at 16 nodes. The function empties `fields`, to free memory,
+    and overwrites the transforms in `memory`."""
     out, memory = {}, memory or {}
     advected = [name for name in ("nl", "rise") if name in names]
     for name in advected:
@@ -125,11 +122,9 @@ def transforms(
 
 
 def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Array]:
-    """Return the arrays of zeros, by name, to which `add_segment` adds.
-    `half` is the transform of half a segment of n steps, (cells, n / 2). Each quantity has sums over rings of
-    its power and squared power, each pair "a*b" of its real and imaginary part, (2, rings, n / 2 + 1).
-    "squares a*b" (rings, n / 2 + 1) holds sums of |a|^2 |b|^2, "map <name>" (cells, n) single cells, for each
-    of ``requested.planes``."""
+    """Return the arrays of zeros to which `add_segment` adds, for transforms like `half` (cells, n / 2).
+    By name: powers and squared powers of each quantity, or real and imaginary parts of a pair "a*b", (2,
+    rings, n / 2 + 1); "squares a*b" (rings, n / 2 + 1); "map ..." (cells, n), for single cells."""
     cells, steps = half.shape
     names = (*requested.names, *(f"{a}*{b}" for a, b in requested.pairs))
     sums = {name: np.zeros((2, table.k.size, steps + 1)) for name in names}
@@ -146,9 +141,8 @@ def add_segment(
     second: dict[str, Array],
     begin: int,
 ) -> None:
-    """Add the powers and cross products of one segment to `sums`, and its Fourier lines at 16 nodes.
-    `first` and `second` are the results of `transforms` for the two halves of the segment, and `begin` is its
-    first step. If `sums` is empty, the function creates its arrays with `empty_sums`."""
+    """Add the powers and cross products of one segment, and its Fourier lines at 16 nodes, to `sums`.
+    `first` and `second` are the results of `transforms` for its halves, and `begin` is its first step."""
     if not sums:
         sums |= empty_sums(first[requested.names[0]], requested, welch.table)
     table, dt, names = welch.table, welch.record.dt, requested.names
@@ -182,9 +176,7 @@ def _add_products(
     table: Rings,
     quadrature: Sequence[Array],
 ) -> None:
-    """Add the cross spectrum of a pair of quantities in one segment to `sums`.
-    `lines` are the transforms at the cells (kx, ky) of a `slab`, `quadrature` the factors from `_quadrature`.
-    Sums over rings always exist; sums of single cells exist only if a map was requested."""
+    """Add the cross spectrum of a pair of quantities in one segment to `sums`, for the cells of a `slab`."""
     first, second, name = lines[pair[0]], lines[pair[1]], "*".join(pair)
     start = table.start[slab.start : slab.stop + 1]
     kernels.ring_cross_spectra(first, second, start, table.ring, table.weight, sums[name])
@@ -194,9 +186,8 @@ def _add_products(
 
 
 def _quadrature(b: Array) -> tuple[Array, Array]:
-    """Return the factors (n,) with which Re S and Im S add up to Re(i exp(i b) S).
-    S is a cross spectrum <conj(a) b> of numpy's transforms, which at positive frequencies are those of waves
-    exp(i (k . x + omega t)); the factors conjugate it there. `b` (n,) is omega dt / 2, in numpy's order."""
+    """Return the factors (n,) with which Re S and Im S add up to Re(i exp(i b) S), for b = omega dt / 2.
+    At positive frequencies, S of numpy's transforms is the conjugate of that of exp(i (k . x - omega t))."""
     imaginary = np.where(b < 0, -1.0, 1.0) * np.cos(b)
     imaginary[[0, b.size // 2]] = 0.0
     return -np.sin(np.abs(b)), imaginary
@@ -217,9 +208,7 @@ _DIMS = {
 def _estimates(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> dict[str, Array]:
-    """Return the arrays of `label`: spectra, degrees of freedom, cross spectra, numbers of samples.
-    `sums` are the sums of `add_segment`. The arrays have the dimensions of `_DIMS`. Cross spectra and numbers
-    of samples are missing if there are no pairs."""
+    """Return the variables of `cross_spectra`, with the dimensions of `_DIMS`, from sums of `add_segment`."""
     freedom = {name: ring_freedom(sums, name, welch) for name in names}
     if "nl" in names:
         waves = next(name for name in ("w", "rise", *names) if name in names)
@@ -241,8 +230,7 @@ def _estimates(
 def label(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
-    """Return the result of `cross_spectra` from the sums of `add_segment` over all segments.
-    `names` are the quantities and `pairs` the pairs of quantities that were summed."""
+    """Return the result of `cross_spectra` from the sums of `add_segment` over all segments."""
     coords: dict[str, Any] = {"quantity": list(names)} | omega_coords(welch.omega) | k_coords(welch.table.k)
     if pairs:
         coords["pair"] = ["*".join(pair) for pair in pairs]
@@ -253,8 +241,7 @@ def label(
 
 
 def checked_fields(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return the fields of a cube from which the quantities `names` are computed, in m and m/s.
-    All of them have one floating-point type. Raise CubeError if one is missing."""
+    """Return the fields from which the quantities `names` are computed, in m and m/s, or raise CubeError."""
     fields = sources(names)
     for field in fields:
         if field not in cube:
@@ -326,24 +313,20 @@ def cross_spectra(
 def _transform_blocks(
     names: Sequence[str], welch: Welch, blocks: list[Array], link: Link, memory: dict[str, Array]
 ) -> dict[str, Array]:
-    """Return the result of `transforms` for half a segment, from blocks (steps, ny, nx) of the cube.
-    `blocks` are in the order of `sources`; the function empties this list to free memory. It does not use
-    `link`, which `sum_segments` passes."""
+    """Return `transforms` of half a segment from its `blocks`, which are in the order of `sources`."""
     fields = dict(zip(sources(names), blocks))
     blocks.clear()  # so that `transforms` can release them
     return transforms(fields, names, welch, memory)
 
 
 def with_mean_current(cube: xr.Dataset, welch: Welch) -> Welch:
-    """Return `welch` with the mean of u and v over the record as its current.
-    This reads evenly spaced steps of the cube."""
+    """Return `welch` with the mean of u and v over the record as its current."""
     mean, _ = delayed_current(cube, welch.record).compute()
     return replace(welch, current=(float(mean[0]), float(mean[1])))
 
 
 def segment_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> dict[str, Array]:
-    """Return the sums of `add_segment` over all segments of a cube, by name.
-    The fields of the cube have been checked with `checked_fields`."""
+    """Return the sums of `add_segment` over all segments of a cube from `checked_fields`."""
     names = requested.names
     fields = [cube[field] for field in sources(names)]
     transform, add = partial(_transform_blocks, names, welch), partial(add_segment, requested, welch)
@@ -353,8 +336,7 @@ def segment_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> dict[s
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
     """Return `ring` with E divided by the power gain of the measurement, and with the mask ``valid_k``.
-    ``valid_k`` (quantity, k) is true where the gain is large enough for the correction, or where the quantity
-    has none. The quantities rise and nl are not corrected, and their mask is false."""
+    The quantities rise and nl are not corrected, and their mask is false."""
     names = ring["quantity"].values
     factor, valid = np.ones((names.size, ring.sizes["k"])), np.zeros((names.size, ring.sizes["k"]), bool)
     for i, name in enumerate(names):
@@ -372,8 +354,7 @@ def _spectra(
     filled: Mapping[str, float],
 ) -> xr.Dataset:
     """Return the group `spectra` of `analyze`: E(k, omega), E(k) and E(omega), with 95 % intervals.
-    If `gain` is given, spectra are divided by it. `filled` is, by quantity, the error in E(omega) due to
-    interpolated nodes; ``valid`` is false where this error may matter."""
+    `filled` is, by quantity, the error in E(omega) due to interpolated nodes; it limits ``valid``."""
     valid = ring["valid"]
     for name, added in filled.items():
         if added:
@@ -404,8 +385,7 @@ TERMS = {"w": "rise*w", "nl": "rise*nl", "tot": "rise*w"}
 
 
 def significance_level(samples: Any) -> Any:
-    """Return the squared coherence that unrelated signals exceed in 5 % of cases.
-    It is 1 - 0.05^(1 / (N - 1)) for N = `samples` independent samples, and 1 for a single one."""
+    """Return the squared coherence that unrelated signals with N = `samples` exceed in 5 % of cases."""
     more = np.maximum(samples - 1, 1e-9)
     return 1 - CHANCE ** (1 / more)
 
@@ -564,9 +544,7 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
 
 
 def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
-    """Return sums over steps, (cells,), from the spatial transforms (cells, steps) of rise, w and nl.
-    "z_t", "w" and "nl" are the sums of rise, w and -nl; "z_t*w" and "z_t*nl" sums of conj(rise) times w or
-    -nl; "power" and "total" sums of |rise|^2 and |w - nl|^2."""
+    """Return sums over steps, (cells,), of the spatial transforms (cells, steps) of rise, w and -nl."""
     z_t, w, nl = (parts[name] for name in COHERENCE_NAMES)
     return {
         "z_t": z_t.sum(axis=1),
@@ -580,8 +558,7 @@ def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
 
 
 def _plane_coherences(mean: dict[str, Array]) -> Array:
-    """Return the moduli of the coherence of z_t with w, with -u . grad z and with their sum, (3, cells).
-    `mean` holds the results of `_plane_sums`, divided by the number of steps."""
+    """Return the moduli of the coherence of the three terms, (3, cells), from means of `_plane_sums`."""
     power = mean["power"] - np.abs(mean["z_t"]) ** 2
     total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))

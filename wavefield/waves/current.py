@@ -19,9 +19,9 @@ _SLOWEST = 8  # lowest Fourier lines of the series of means, from which its unce
 
 
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
-    """Return the mean (u, v) of a record and its standard uncertainty, each (2,), m/s, as dask objects.
-    The mean is over up to 256 evenly spaced steps, and over space with the weights of a Hann window. This
-    window removes the waves; equal weights would leave a hundredth of them, coherent with z_t."""
+    """Return the mean (u, v) of up to 256 steps and its standard uncertainty, (2,), m/s, as dask objects.
+    Equal weights in space would leave a hundredth of the waves, coherent with z_t; a Hann window removes
+    them."""
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
     chosen = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, SAMPLED_STEPS).astype(int)})
@@ -81,9 +81,7 @@ class CurrentUsed:
 
 
 def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> CurrentUsed:
-    """Return the current fitted to the dispersion relation, else the `given` current, else still water.
-    `dispersion` is the result of `dispersion_group`; it has no ``current_x`` if the fit failed. `given` is
-    along x and y, m/s. Only a fitted current has a standard uncertainty."""
+    """Return the current of the result of `dispersion_group`, else the `given` current, else still water."""
     if "current_x" in dispersion:
         velocity, std = ([float(dispersion[f"current_{a}{end}"]) for a in "xy"] for end in ("", "_std"))
         return CurrentUsed((velocity[0], velocity[1]), (std[0], std[1]), FITTED)

@@ -46,10 +46,8 @@ def packet_correlation(
     ky: Array, kx: Array, omega: Array, water: tuple[float, float], current: tuple[float, float], dof: float
 ) -> Array:
     """Return the factor, (ky, kx), by which free waves raise the variance of a mean over segments.
-    A slow wave packet stays in the rectangle for several segments, which are then correlated. The factor is
-    relative to white noise and at least 1. `ky`, `kx` and `omega` are the axes of the spectrum, rad/m and
-    rad/s. `water` holds the depth, m, and the surface tension over density, m3/s2; `current` is in m/s; `dof`
-    are the degrees of freedom of a cell, from which the number of segments follows."""
+    A slow wave packet stays in the rectangle for several segments. `dof` are the degrees of freedom of a
+    cell."""
     k = np.maximum(np.hypot(ky[:, None], kx), 1e-9)
     speed = group_velocity(k, *water) / k
     velocity = speed * kx + current[0], speed * ky[:, None] + current[1]
@@ -62,9 +60,8 @@ def packet_correlation(
 
 def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
     """Return the covariances of the energies of sectors of direction, (sectors, sectors).
-    `shares` (sectors, cells) is the fraction of each cell of the k plane in each sector. `energy` (lines, ky,
-    kx) is the spectrum, with `dof` degrees of freedom in each cell. Neighbouring cells and lines are
-    correlated by the Hann windows, and sectors share cells."""
+    `shares` (sectors, cells) divides the cells of `energy` (lines, ky, kx), which have `dof` degrees of
+    freedom. The Hann windows correlate neighbouring cells and lines."""
     lines, ny, nx = energy.shape
     reach = min(2, lines - 1)
     over_lines = ndimage.convolve1d(energy, _HANN[2 - reach : 3 + reach], axis=0, mode="constant")
@@ -84,9 +81,7 @@ def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
 
 
 def sector_freedom(levels: Array, covariances: Array) -> Array:
-    """Return the degrees of freedom of each sector's fraction of the total energy, (sectors,).
-    `levels` (sectors,) are the energies of the sectors, and `covariances` (sectors, sectors) their
-    covariances."""
+    """Return the degrees of freedom of each sector's fraction of the total energy, (sectors,)."""
     total = max(levels.sum(), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
@@ -95,8 +90,7 @@ def sector_freedom(levels: Array, covariances: Array) -> Array:
 
 def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[float, float]:
     """Return the standard uncertainties of the first harmonic of D(theta) along and across its direction.
-    The harmonic is the mean of exp(i theta) weighted by the energies `levels` of sectors at the directions
-    `theta`, rad, both (sectors,). `covariances` (sectors, sectors) are the covariances of these energies."""
+    `levels` and `theta` are (sectors,); `covariances` are those of the levels."""
     total = max(levels.sum(), 1e-300)
     turned = np.exp(1j * theta)
     first = (levels * turned).sum() / total
@@ -112,9 +106,7 @@ LOWEST_HZ = 0.5  # chosen: below it, the elevation integrated from w is mostly d
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
     """Return E(k, omega + k . U), the spectrum in the frame of the water, (lines, ky, kx).
-    `density` is E(omega, ky, kx), `lines` are the indices of the wanted frequencies, and U is the `current`,
-    m/s. Values between two frequencies are interpolated linearly; above the highest frequency they are
-    zero."""
+    `lines` are the indices of the wanted frequencies. Values above the highest frequency are zero."""
     values = density.values
     if not any(current):
         return np.asarray(values[lines], float)
@@ -157,10 +149,9 @@ class _RingSectors:
         self.place = (sector * self.cells + cell).ravel()[by_radius]  # in (sectors, cells)
 
     def shares(self, centre: float, half: float) -> tuple[Array, Array]:
-        """Return the fraction of each cell in each sector of a ring, and the sampled fraction of each sector.
-        The ring extends from `centre` - `half` to `centre` + `half`, rad/m. The first result is (sectors,
-        cells). The second is (sectors,): the fraction of the area of a sector of the ring that lies in the k
-        plane."""
+        """Return the fraction of each cell in each sector of a ring, (sectors, cells).
+        The second result is the fraction of each sector that the k plane samples. The ring extends from
+        `centre` - `half` to `centre` + `half`, rad/m."""
         first = np.searchsorted(self.radius, centre - half, "right")
         ring = slice(first, np.searchsorted(self.radius, centre + half, "left"))
         parts = np.bincount(self.place[ring], minlength=self.count * self.cells)
@@ -259,10 +250,8 @@ def directions(
 def elevation_density(
     density: xr.DataArray, current: tuple[float, float], frames: int, water: tuple[float, float]
 ) -> xr.DataArray:
-    """Return E(omega, ky, kx) of the elevation, from the spectrum `density` of w.
-    w is integrated at the frequency in the frame of the water, omega - k . U, with the `current` U in m/s.
-    `frames` is the number of frames per velocity, as in `elevation_from_w`. `water` holds the depth, m, and
-    the surface tension over density, m3/s2. The result is zero at omega = 0."""
+    """Return E(omega, ky, kx) of the elevation, from the spectrum `density` of w; zero at omega = 0.
+    w is integrated at the frequency in the frame of the water, omega - k . U, with the `current` U."""
     omega, ky, kx = np.meshgrid(
         *(density[name] for name in ("omega", "ky", "kx")), indexing="ij", sparse=True
     )
@@ -274,10 +263,7 @@ def elevation_density(
 
 
 def resolved_frequencies(density: xr.DataArray, depth: float, gamma: float) -> Array:
-    """Return the middles of the frequency bands, Hz, that the spectrum E(omega, ky, kx) resolves.
-    The first is at 0.5 Hz or three frequency lines, the spacing is 0.1 Hz or one line, whichever is larger.
-    The last is below 0.9 of the highest line, and below the frequency of the shortest waves that the grid
-    resolves. `depth` is in m; `gamma` is the surface tension over density, m3/s2."""
+    """Return the middles of the frequency bands, Hz, that segments and grid of E(omega, ky, kx) resolve."""
     lines = density["omega"].values / (2 * np.pi)
     shortest = dispersion(SHORTEST_WAVES * _largest_k(density), depth, gamma) / (2 * np.pi)
     return np.arange(max(LOWEST_HZ, 3 * lines[1]), min(shortest, 0.9 * lines[-1]), max(STEP_HZ, lines[1]))
@@ -291,10 +277,7 @@ def _largest_k(density: xr.DataArray) -> float:
 def above_noise(
     density: xr.DataArray, found: xr.Dataset, water: tuple[float, float], current: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """Return a mask (frequency,): true where the grid resolves the waves and they exceed the noise.
-    `density` is E(omega, ky, kx). `found` has the coordinate ``frequency``, in the frame of the water, Hz.
-    Energy is summed near the dispersion relation, and must exceed three times the noise summed there. `water`
-    holds the depth, m, and the surface tension over density, m3/s2; `current` is in m/s."""
+    """Return a mask (frequency,): true where the grid resolves waves that exceed three times the noise."""
     spectrum = PlaneSpectrum.of(density, water)
     frequency = found["frequency"].values
     centres = wavenumber(2 * np.pi * frequency, *water)
@@ -313,8 +296,7 @@ def above_noise(
 
 
 def oceanographic(found: xr.Dataset) -> xr.DataArray:
-    """Return ``efth`` (freq, dir), the spectrum per Hz and degree, from a result of `directions`.
-    ``dir`` is the direction that waves come from, in degrees clockwise from the y axis."""
+    """Return ``efth`` (freq, dir), the spectrum per Hz and degree, from a result of `directions`."""
     compass = (270 - np.degrees(found["theta"].values)) % 360
     order = np.argsort(compass)
     energy = (found["energy"] * found["D"] * np.pi / 180).values[:, order]
@@ -334,10 +316,7 @@ def _directions(
     current: tuple[float, float],
     dof: float | None,
 ) -> xr.Dataset:
-    """Return the result of `directions` for E(omega, ky, kx) with `dof` degrees of freedom in each cell.
-    If `dof` is None, uncertainties are NaN. `frequency` holds the middles of the bands, Hz; `water` the
-    depth, m, and the surface tension over density, m3/s2; `current` is in m/s. Raise CubeError if
-    `frequency` is empty or has a value above the highest frequency of the spectrum."""
+    """Return the result of `directions` for E(omega, ky, kx) with `dof` degrees of freedom in each cell."""
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
     if not frequency.size:
@@ -382,10 +361,8 @@ def _label(
     cells: tuple[float, float],
     stds: Array,
 ) -> xr.Dataset:
-    """Return the directional density, harmonics, spread and uncertainties from energies of sectors.
-    `frequency`, Hz, and the wavenumbers `centres`, rad/m, of free waves are (frequency,). The energies
-    `levels` and their degrees of freedom `degrees` are (frequency, sectors). `cells` are the sides of a cell
-    along ky and kx, rad/m. `stds` (2, frequency) are the results of `harmonic_stds`."""
+    """Return the Dataset of `directions` from the energies `levels` (frequency, sectors), without ``efth``.
+    `centres` (frequency,) are wavenumbers, `cells` the sides of a cell along ky and kx, all in rad/m."""
     sectors = levels.shape[1]
     width = 2 * np.pi / sectors
     theta = (np.arange(sectors) + 0.5) * width
@@ -428,9 +405,7 @@ def _label(
 def direction_group(
     density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch
 ) -> xr.Dataset | Noted:
-    """Return the group `direction` of `analyze`: the result of `directions` at all resolved frequencies.
-    `density` is E(omega, ky, kx) of w. The variables dof, low and high are renamed to dof_D, low_D and
-    high_D. If the current is not known, ``efth`` is left out and a note says so."""
+    """Return the group `direction` of `analyze`, from E(omega, ky, kx) of w."""
     water = depth, gamma
     elevation = elevation_density(density, used.velocity, welch.frames, water)
     frequency = resolved_frequencies(density, *water)

@@ -41,9 +41,8 @@ BAND_WIDTH = 0.5  # Hz, chosen: width of the bands in which the points are compa
 
 
 def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Array], Array]:
-    """Return a function of the current (2,), m/s, that gives the misfit of each point, (points,).
-    The misfit is the omega of the dispersion relation less the measured omega, in standard deviations. The
-    slope of the relation on the current `around` (2,), m/s, converts the uncertainty of k to one of omega."""
+    """Return a function of the current: model minus measured omega of each point, in standard deviations.
+    The slope of the relation on the current `around` converts the uncertainty of k to one of omega."""
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
     free, speed = dispersion(points.k, *water), group_velocity(points.k, *water)
     slope = speed + (around[0] * kx + around[1] * ky) / points.k
@@ -52,14 +51,12 @@ def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Ar
 
 
 def _outlier_limit(misfit: Array) -> float:
-    """Return the absolute misfit beyond which points get less weight: three robust standard deviations.
-    The standard deviation follows from the median of the absolute `misfit` (points,)."""
+    """Return three robust standard deviations of `misfit`, beyond which points get less weight."""
     return OUTLIER_STDS * max(float(np.median(np.abs(misfit))) / 0.6745, 1e-9)
 
 
 def solve(points: RelationPoints, water: Water, start: Array) -> Array:
-    """Return the current, (2,), m/s, by a robust least-squares fit to the points.
-    The fit starts from the current `start` (2,), m/s."""
+    """Return the current, (2,), m/s, by a robust least-squares fit to the points."""
     misfit = _misfit(points, water, start)
     result = least_squares(misfit, start, loss="soft_l1", f_scale=_outlier_limit(misfit(start)))
     return np.asarray(result.x)
@@ -67,8 +64,7 @@ def solve(points: RelationPoints, water: Water, start: Array) -> Array:
 
 def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array:
     """Return the covariance (2, 2) of a fitted current, (m/s)^2; NaN if points do not determine it.
-    It follows from the misfits of the points. Neighbouring points have common errors, so half of the points
-    count as independent."""
+    Neighbouring points have common errors, so half of the points count as independent."""
     misfit = _misfit(points, water, current)
     residual = misfit(current)
     slopes = np.stack([misfit(current + unit) - residual for unit in np.eye(2)], axis=1)  # it is linear
@@ -82,8 +78,7 @@ def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array
 
 
 def distance_from_relation(points: RelationPoints, water: Water, current: Array) -> Array:
-    """Return the k of each point less the k of the relation, (points,), rad/m, to first order.
-    The relation is that of waves on a `current` (2,), m/s, at the omega of the point."""
+    """Return the k of each point less the k of the relation at its omega, (points,), rad/m (first order)."""
     along = points.along(current)
     speed = group_velocity(points.k, *water)
     model = dispersion(points.k, *water) + points.k * along
@@ -91,9 +86,7 @@ def distance_from_relation(points: RelationPoints, water: Water, current: Array)
 
 
 def against_theory(points: RelationPoints, water: Water, current: Array) -> dict[str, Any]:
-    """Return the variables ``ridge_error`` and ``band_frequency`` of `fit_dispersion`, both over bands.
-    ``ridge_error`` is the weighted mean of (k - k_theory) / k of the points in each band, with k_theory on
-    the `current`. ``band_frequency`` is the middle of the band, Hz."""
+    """Return the variables ``ridge_error`` and ``band_frequency`` of `fit_dispersion`, both over bands."""
     distance = distance_from_relation(points, water, current)
     band = np.floor(points.omega / (2 * np.pi) / BAND_WIDTH)
     numbers, inverse = np.unique(band, return_inverse=True)
@@ -230,8 +223,7 @@ def _between(limits: tuple[float, float]) -> str:
 
 
 def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> RelationPoints:
-    """Return the points; raise CubeError if there are fewer than six.
-    The message names the `limits` of the band, rad/s."""
+    """Return the points; raise CubeError if there are fewer than six."""
     if len(points) < MIN_POINTS:
         raise CubeError(f"no dispersion relation was found {_between(limits)}: choose a longer segment")
     return points
@@ -240,9 +232,7 @@ def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> Relation
 def _check_fit(
     spectrum: PlaneSpectrum, points: RelationPoints, fit: Array, limits: tuple[float, float]
 ) -> float:
-    """Return the `contrast` of the fitted relation; raise CubeError if the fit is poor.
-    It is poor if the points are more than 10 % of k (rms) away from the relation, or if the contrast is below
-    1.5. `fit` is the current, m/s, and `limits` the lowest and highest omega of the band, rad/s."""
+    """Return the `contrast` of the fitted relation; raise CubeError if no relation is in the spectrum."""
     between = _between(limits)
     best = f"{fit[0]:.2f}, {fit[1]:.2f} m/s"
     # windows spread a wave over more than a cell of the k plane: for long waves, that is not an error
@@ -266,8 +256,7 @@ def _check_fit(
 
 
 def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
-    """Raise CubeError if `std`, the standard uncertainty of the current, exceeds 0.012 m/s or is NaN.
-    The message names the `limits` of the band, rad/s."""
+    """Raise CubeError if `std`, the standard uncertainty of the current, exceeds 0.012 m/s or is NaN."""
     if std <= MAX_CURRENT_STD:
         return
     reason = f"determine the current to {std:.2f} m/s only"
@@ -278,9 +267,7 @@ def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
 
 def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float) -> xr.Dataset:
     """Return the result of `fit_dispersion` with ``omega_theory`` (k), the relation in still water.
-    If the fit fails, the result has only ``omega_theory``, and the attribute ``refused`` holds the message.
-    `density` is E(omega, ky, kx), `k` is in rad/m, `depth` in m, and `gamma` is the surface tension over
-    density."""
+    If the fit fails, the attribute ``refused`` holds the message in place of the result."""
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
         out = fit_dispersion(density, depth, gamma=gamma)
@@ -290,8 +277,7 @@ def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float
 
 
 def _dispersion_fit(density: xr.DataArray, welch: Welch, depth: float, gamma: float) -> xr.Dataset:
-    """Return the result of `dispersion_group` at the wavenumbers of an analysis.
-    `density` is the spectrum E(omega, ky, kx) of w."""
+    """Return `dispersion_group` at the wavenumbers of an analysis."""
     return dispersion_group(density, welch.table.k, depth, gamma)
 
 

@@ -80,9 +80,8 @@ class PlaneSpectrum:
 
 def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
     """Return the noise of a spectrum, (lines, cells): a function of omega times a function of |k|.
-    `energy` (lines, cells) is the spectrum. Noise is independent in time and correlated over a matching
-    window in space, so its spectrum factorises. The function of omega is the median of the cells above 0.8 of
-    the Nyquist wavenumber, where waves are weak."""
+    Noise is independent in time and correlated over a matching window in space, so its spectrum factorises.
+    """
     outer = plane.k > SHORTEST_WAVES * plane.nyquist
     if not outer.any():
         return np.zeros(energy.shape, np.float32)
@@ -100,9 +99,8 @@ def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
 
 
 def _mean_of_noise(values: Array) -> float:
-    """Return the mean of noise from `values` of which some contain waves; 0 if the median is 0.
-    The noise follows a chi-squared distribution, so its mean is about median + variance / (3 median). The
-    variance comes from the median and the lower quartile, which waves hardly change."""
+    """Return the mean of chi-squared noise from `values` of which some contain waves; 0 if the median is 0.
+    The mean is about median + variance / (3 median), with the variance from the lower quartile."""
     low, middle = np.quantile(values, [0.25, 0.5])
     std = (middle - low) / 0.6745
     return float(middle + std**2 / (3 * middle)) if middle > 0 else 0.0
@@ -117,8 +115,8 @@ VOTING_SECTORS = 2 * SECTORS  # finer, because single cells vote
 
 def scan_current(spectrum: PlaneSpectrum) -> Array:
     """Return the current (2,), to 0.02 m/s, with the dispersion relation that contains the most energy.
-    This is a Hough transform: each cell votes for the component of the current along its k, which is (omega -
-    sigma(k)) / k or (omega + sigma(k)) / k. Of currents with nearly as many votes, the slowest is taken."""
+    In this Hough transform, each cell votes for the component (omega -+ sigma(k)) / k of the current along k.
+    """
     plane, omega = spectrum.plane, spectrum.omega
     used = plane.k > MIN_CELLS_FROM_ZERO * plane.cell
     used &= plane.k < 0.9 * plane.k[plane.ky == 0].max()
@@ -164,9 +162,8 @@ def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
 
 
 def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
-    """Return the ratio of the energy near the relation on a current to the energy expected of noise.
-    The expected energy is the mean energy of the same cells at other frequencies. Only the frequencies of
-    `lines`, a boolean array (lines,), are used. White noise gives about 1."""
+    """Return the ratio of the energy near the relation to that of the same cells at other frequencies.
+    White noise gives about 1. `lines` is a mask of the frequencies that are used."""
     near = _near_relation(spectrum, current)[lines]
     near[:, spectrum.plane.k < MIN_CELLS_FROM_ZERO * spectrum.plane.cell] = False
     energy = spectrum.energy[lines]
@@ -193,8 +190,8 @@ FLOOR = 1e-9  # chosen: cells with less energy, relative to the strongest, have 
 
 def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
     """Return the spectrum (lines, cells) of simulated free waves, broadened by Hann windows.
-    The waves lie on the relation on `current` and have the measured energy above the noise. The function
-    finds the energies of four waves per cell by deconvolution."""
+    A deconvolution finds the energies of four waves per cell that give the measured energy above the noise.
+    """
     near, ky, kx = _near_relation(spectrum, current), *spectrum.plane.axes
     shape = spectrum.omega.size, ky.size, kx.size
 
@@ -298,9 +295,8 @@ def sectors_of(plane: WavenumberPlane, count: int) -> list[Sector]:
 
 
 def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) -> RelationPoints:
-    """Return the centroids in k of the energy above the noise, for each frequency and sector.
-    The centroid is computed in a window around the dispersion relation on `current`. Windows with too few
-    cells or a signal-to-noise ratio below 1, and centroids outside the window, give no point."""
+    """Return the centroids in k of the energy above the noise near the relation, per frequency and sector.
+    Windows with few cells or a signal-to-noise ratio below 1, and centroids outside them, give no point."""
     plane, omega, water = spectrum.plane, spectrum.omega, spectrum.water
     k_table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
     free = dispersion(k_table, *water)
@@ -348,9 +344,7 @@ def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) ->
 
 def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:
     """Return the k of each frequency on the relation omega = free(k) + k along, (lines,), rad/m.
-    `along` is the component of the current along k, m/s. `free` and the group velocity `speed` are values for
-    still water at the wavenumbers `k`. Against a current, omega grows with k only while `speed` exceeds the
-    current; k is NaN at frequencies that the current blocks."""
+    `speed` is the group velocity in still water. k is NaN at frequencies that the current blocks."""
     doppler = free + k * along
     blocked = speed + along < MIN_SPEED_ON_CURRENT * speed
     last = int(blocked.argmax()) if blocked.any() else k.size
@@ -385,8 +379,8 @@ class WindowDisplacement:
         current: Array,
     ) -> "WindowDisplacement":
         """Return the displacement, measured on simulated free waves on the relation on `current`.
-        Only the frequencies of `band`, a boolean array (lines,), are used. Points with a large displacement
-        are left out: they are beyond the end of the sea, in leakage alone."""
+        Points with a large displacement are left out: they are beyond the end of the sea, in leakage alone.
+        """
         free_waves = windowed_waves(spectrum, current)[band]
         simulated = replace(
             spectrum, omega=spectrum.omega[band], energy=free_waves, noise=np.zeros_like(free_waves)
@@ -399,9 +393,8 @@ class WindowDisplacement:
         return cls(points.key[near], displacement[near])
 
     def removed_from(self, points: RelationPoints, part: float = 1.0) -> RelationPoints:
-        """Return the points with `part` (1: all) of the displacement subtracted from their k.
-        Points without a measured displacement are left out. The uncertainty ``k_std`` grows by 0.3 of the
-        displacement, in quadrature."""
+        """Return the points with `part` of the displacement subtracted from their k.
+        Points without a measured displacement are left out."""
         _, measured, simulated = np.intersect1d(points.key, self.key, assume_unique=True, return_indices=True)
         points, displacement = points[measured], self.k[simulated]
         k_std = np.hypot(points.k_std, LEAKAGE_ERROR * displacement)

@@ -35,8 +35,7 @@ CORRELATED_CELLS = 2 * sum(HANN_CORRELATION) - 1  # cells along an axis that cou
 
 
 def hann_correlation(lines: int) -> Array:
-    """Return the squared correlation of any two Fourier lines under a Hann window, (lines, lines).
-    The spectrum is taken as flat."""
+    """Return the squared correlation of Fourier lines of white noise under a Hann window, (lines, lines)."""
     first = np.zeros(lines)
     first[: len(HANN_CORRELATION)] = HANN_CORRELATION[:lines]
     return np.asarray(linalg.toeplitz(first))
@@ -44,18 +43,8 @@ def hann_correlation(lines: int) -> Array:
 
 def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
     """Return the degrees of freedom of n sums of correlated powers, (n,).
-
-    They are (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)], with the powers P =
-    `power` (parts, n), their degrees of freedom nu = `dof` (parts, n), and the squared correlation rho2 =
-    `overlap` (parts, parts) of the parts, which is scaled to 1 on its diagonal.
-
-    Examples
-    --------
-    Four independent, equal parts of ten degrees of freedom each; then one part alone.
-
-    >>> power = np.array([[1.0, 1.0], [1.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
-    >>> sum_freedom(power, np.full((4, 2), 10.0), np.eye(4))
-    array([40., 10.])
+    They are (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)], with the powers P = `power` (parts,
+    n), their degrees of freedom nu = `dof`, and their squared correlations rho2 = `overlap` (parts, parts).
     """
     size = np.sqrt(np.maximum(np.diag(overlap), 1e-300))
     share = power / np.sqrt(dof)
@@ -65,8 +54,7 @@ def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
 
 
 def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
-    """Return a spectrum ``E`` with its degrees of freedom ``dof`` and interval ``low``, ``high``.
-    ``low`` and ``high`` are factors of E that give the limits of its 95 % interval. ``dof`` is at least 1."""
+    """Return a spectrum ``E`` with its degrees of freedom ``dof`` and its interval, ``low`` and ``high``."""
     dof = dof.clip(min=1)
     low, high = (
         xr.apply_ufunc(lambda d, i=i: interval(d)[i], dof, dask="parallelized", output_dtypes=[float])
@@ -80,10 +68,9 @@ ROUNDS = 4  # of deconvolution; tuned on random seas: with one, intervals of E(o
 
 
 def expected_segment_correlation(power: Array, count: int) -> Array:
-    """Return the variance of a mean over segments relative to independent segments, (n, lines).
-    It follows from n spectra, `power` (n, lines), and the number K = `count` of half-overlapping segments: 1
-    + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, where S is the
-    deconvolved spectrum, W^2 the power of the Hann window about a line, and T the length of a segment."""
+    """Return the variance of a mean over K = `count` segments relative to independent segments, (n, lines).
+    It is 1 + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, with the
+    deconvolved spectrum S, the power W^2 of the Hann window about a line, and the length T of a segment."""
     lines = np.arange(power.shape[1])
     between = FREQUENCIES_PER_LINE
     fine = np.arange(between * (lines.size - 1) + 1) / between
@@ -121,23 +108,16 @@ NOISE_LINES = 0.75  # of the Nyquist frequency; the mean power above it is taken
 
 
 def hann_autocorrelation(lag: Array) -> Array:
-    """Return the autocorrelation of a Hann window of length 1, relative to its value at lag zero.
-
-    Examples
-    --------
-    >>> hann_autocorrelation(np.array([0.0, 0.5, 0.75])).round(3).tolist()
-    [1.0, 0.167, 0.008]
-    """
+    """Return the autocorrelation of a Hann window of length 1, relative to its value at lag zero."""
     x = np.minimum(np.abs(lag), 1.0)
     return np.asarray(((1 - x) * (2 + np.cos(2 * np.pi * x)) + 1.5 / np.pi * np.sin(2 * np.pi * x)) / 3)
 
 
 def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
     """Return the variance of a mean over segments relative to independent segments, for wave packets.
-    The packets move at `velocity`, the arrays v_x and v_y, m/s, and the result has their shape. It is 1 + 2
-    sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2, with K = `count` segments of the `duration` T, s. Here c(t) = int
-    a(s / T) a(v_x (t - s) / L_x) a(v_y (t - s) / L_y) ds, with the autocorrelation a of the Hann window and
-    the `lengths` L_x, L_y of the field, m. So a packet counts while it is inside the windows."""
+    It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K segments of `duration` T, where c(t) = int a(s /
+    T) a(v_x (t - s) / L_x) a(v_y (t - s) / L_y) ds with the autocorrelation a of the Hann window and the
+    field's `lengths` L_x, L_y: a packet counts while it is inside the windows."""
     s = np.linspace(-1, 1, LAGS)
     in_time = hann_autocorrelation(s)
     out, alone = np.ones_like(velocity[0]), np.ones(())
@@ -158,9 +138,7 @@ def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence
 
 @lru_cache(maxsize=8)
 def crossing_correlation(welch: Welch) -> Array:
-    """Return the variance of a mean over segments relative to independent ones, for free waves, (rings,).
-    It is the result of `correlation_at` for the group velocity plus the current, averaged over the directions
-    of waves."""
+    """Return `correlation_at` for free waves of each ring, averaged over their directions, (rings,)."""
     record, table = welch.record, welch.table
     lengths = record.shape[1] * record.dx, record.shape[0] * record.dy
     group = group_velocity(table.k, welch.depth)[:, None]
@@ -171,17 +149,14 @@ def crossing_correlation(welch: Welch) -> Array:
 
 
 def wave_share(power: Array) -> Array:
-    """Return the fraction of the powers (rings, lines) that is due to waves and not to white noise.
-    The noise of a ring is its mean power above three quarters of the Nyquist frequency."""
+    """Return the fraction of the powers (rings, lines) that is due to waves and not to white noise."""
     first = int(NOISE_LINES * (power.shape[1] - 1))
     noise = power[:, first:-1].mean(axis=1, keepdims=True) if first < power.shape[1] - 1 else 0.0
     return np.asarray(1 - np.minimum(noise / np.maximum(power, 1e-300), 1.0))
 
 
 def keep_points(sums: dict[str, Array], name: str, first: Array, second: Array, begin: int) -> None:
-    """Add the Fourier lines (nodes, lines) of a segment at some nodes to `sums`.
-    `first` and `second` (nodes, steps) are the values in the two halves of the segment, which begins at step
-    `begin`. The key is "points <name> from <begin>"."""
+    """Add the Fourier lines (nodes, lines) of a segment at some nodes to `sums`, under its first step."""
     series = np.concatenate([first, second], axis=1)
     series = (series - series.mean(axis=1, keepdims=True)) * hann(series.shape[1])
     sums[f"points {name} from {begin:012d}"] = fft.rfft(series, axis=1).astype(np.complex64)
@@ -189,10 +164,9 @@ def keep_points(sums: dict[str, Array], name: str, first: Array, second: Array, 
 
 def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) -> Array:
     """Return the number of independent segments at each frequency, (n,).
-    It is K / (1 + 2 sum_L (1 - L / K) |r_L|^2), where r_L is the correlation of segments L places apart.
-    `lines` (segments, nodes, n) are Fourier lines of K segments at some nodes. `place` (segments,) counts
-    halves of a segment from the first segment. `modes` is the number of independent series among the nodes,
-    for the bias of |r_L|^2."""
+    It is K / (1 + 2 sum_L (1 - L / K) |r_L|^2) with the correlation r_L of `lines` (segments, nodes, n) that
+    are L places apart. `modes` is the number of independent series among the nodes, for the bias of |r_L|^2.
+    """
     count, size = len(lines), int(place[-1]) + 1
     padded = np.zeros((2 * size, *lines.shape[1:]), complex)
     padded[place] = lines
@@ -208,9 +182,8 @@ def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) ->
 
 
 def independent_nodes(lines: Array, number: Array) -> Array:
-    """Return the number of independent waves at each frequency, (n,).
-    It is (tr C)^2 / |C|^2 with the covariance C of the nodes, from the Fourier lines `lines` (segments,
-    nodes, n). The bias of C is corrected for `number` independent segments."""
+    """Return the number of independent waves at each frequency, (tr C)^2 / |C|^2, without bias, (n,).
+    C is the covariance of the nodes, from `lines` (segments, nodes, n)."""
     total = (np.abs(lines) ** 2).sum(axis=(0, 1))
     covariance = np.einsum("spn,sqn->npq", lines.conj(), lines, optimize=True)
     rank = total**2 / np.maximum((np.abs(covariance) ** 2).sum(axis=(1, 2)), 1e-300)
@@ -220,21 +193,17 @@ def independent_nodes(lines: Array, number: Array) -> Array:
 
 
 def of_products(dof: Mapping[str, Array], power: Array, dof_omega: Array) -> dict[str, Array]:
-    """Return degrees of freedom of the nonlinear term: its own `dof`, reduced by those of the wave energy.
-    The energy of the term is quadratic in the energy of the waves, so the relative variance of the wave
-    energy counts four times. `power` and `dof_omega`, both (lines,), are the spectrum of the waves and its
-    degrees of freedom. `dof` and the result are dictionaries as from `ring_freedom`."""
+    """Return degrees of freedom of the nonlinear term: its own `dof`, reduced by those of the waves.
+    The term's energy is quadratic in that of the waves, whose relative variance therefore counts four times.
+    """
     total = sum_freedom(power[:, None], dof_omega[:, None], hann_correlation(power.size))
     return {axes: (1 / (1 / own + 4 / total)).clip(1, None) for axes, own in dof.items()}
 
 
 def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, Array]:
     """Return the degrees of freedom of E(k, omega), E(omega) and E(k), under "both", "omega" and "k".
-    `sums` are the sums of `add_segment`, and `name` is the quantity. The degrees of freedom for independent
-    segments are divided by the factor by which correlated segments raise the variance. They are limited to
-    twice the number of independent segments times the number of independent waves, both found at 16 nodes.
-    The limit matters for peaks narrower than the lines of the whole record, whose level hardly varies between
-    segments."""
+    Correlated segments reduce them. They are at most twice the number of independent segments times that of
+    independent waves at 16 nodes: the level of a very narrow peak hardly varies between segments."""
     power, cells = sums[name][0], welch.freedom(sums[name])
     independent = cells * overlap_factor(welch.count)
     correlation, of_sums = correlation_of(power, welch)
@@ -258,9 +227,8 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, 
 
 
 def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
-    """Return the degrees of freedom of E(omega) averaged over all nodes with equal weights, (lines,).
-    `dof` (lines,) holds the degrees of freedom under a Hann window in space. Waves of a frequency lie on an
-    arc in the k plane, and the window correlates `CORRELATED_CELLS` cells along it."""
+    """Return the degrees of freedom of E(omega) averaged over all nodes, from those under a Hann window.
+    Waves of a frequency lie on an arc in the k plane, along which the window correlates cells."""
     arc = np.maximum(dof / welch.dof, 1.0)
     return np.asarray(dof * (1 + (arc - 1) * CORRELATED_CELLS) / arc)
 
@@ -268,17 +236,10 @@ def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
 def independent_samples(
     sums: Mapping[str, Any], first: str, second: str, dof_k: tuple[Array, Array], welch: Welch
 ) -> dict[str, Array]:
-    """Return the number N of independent samples of a cross spectrum, over (k, omega) and over k.
-
-    The result holds N (rings, lines) under "both", and N (rings,) of the sum over omega under "k". `first`
-    and `second` are the two quantities, and `dof_k` holds the degrees of freedom of E(k) of each.
-
-    For unrelated fields the mean of |S_ab|^2 is E_a E_b / N. N is small where both fields have their energy
-    in the same cells of a ring. It follows from the mean of |A|^2 |B|^2, which in a cell is (1 + gamma^2)
-    times the product of the mean powers. For the sum over omega, N is about half of `dof_k`, because powers
-    and products have the same correlations. The nonlinear term nl does not follow the dispersion relation, so
-    overlap alone correlates its segments, with a coefficient of 1 / 6.
-    """
+    """Return the number N of independent samples of a cross spectrum and of its sum over omega.
+    For unrelated fields the mean of |S_ab|^2 is E_a E_b / N. N follows from the mean of |A|^2 |B|^2, which in
+    a cell is (1 + gamma^2) times the product of the mean powers. The nonlinear term nl does not follow the
+    dispersion relation, so only the overlap of its segments correlates them, with a coefficient of 1 / 6."""
     product = sums[first][0] * sums[second][0]
     power, there = np.sqrt(product), product > 0
     real, imaginary = sums[f"{first}*{second}"]
@@ -305,8 +266,8 @@ def independent_samples(
 
 def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
     """Return the degrees of freedom of sums over k, under "omega", and of sums over omega, under "k".
-    `power` and its degrees of freedom `dof` are (rings, lines). Neighbouring rings are correlated as in a
-    flat spectrum, since the dispersion relation is thinner."""
+    `power` and its `dof` are (rings, lines). The relation is thin, so rings are correlated more than by the
+    window."""
     overlap, own = welch.table.overlap, np.sqrt(np.diag(welch.table.overlap).clip(1e-300))
     return {
         "omega": sum_freedom(power, dof, np.sqrt(overlap * np.outer(own, own))),
@@ -315,9 +276,8 @@ def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
 
 
 def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
-    """Return factors by which the correlation of segments raises the variance of a mean over segments.
-    Both are (rings, lines). The first is for single cells (k, omega). The second is for a cell as a part of a
-    sum over k or over omega. `power` (rings, lines) is the spectrum."""
+    """Return factors by which the correlation of segments raises the variance of a mean, two (rings, lines).
+    The first is for a single cell (k, omega), the second for a cell as a part of a sum over k or omega."""
     white = overlap_factor(welch.count)
     line = expected_segment_correlation(power, welch.count)
     crossing = white + (crossing_correlation(welch)[:, None] - white).clip(0) * wave_share(power) ** 2
@@ -325,8 +285,7 @@ def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
 
 
 def _segments(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
-    """Return the first step of each segment, (segments,), and its Fourier lines, (segments, nodes, lines).
-    `name` is "points <quantity>"; the lines are those that `keep_points` added to `sums`."""
+    """Return the first step of each segment (segments,) and its Fourier lines, (segments, nodes, lines)."""
     start = f"{name} from "
     names = sorted(key for key in sums if key.startswith(start))
     return np.array([int(key.removeprefix(start)) for key in names]), np.array(
@@ -335,6 +294,5 @@ def _segments(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
 
 
 def place_of(starts: Array, welch: Welch) -> NDArray[np.intp]:
-    """Return the place of each segment in the record, (segments,), in halves of a segment.
-    `starts` (segments,) are the first steps of the segments. The first segment has place 0."""
+    """Return the place of each segment in the record, in halves of a segment from the first, (segments,)."""
     return np.asarray((starts - starts[0]) // welch.half)

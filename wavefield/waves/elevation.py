@@ -52,17 +52,8 @@ _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m: waves of 6 km to 1.6 mm
 
 def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
     """Return the frequency omega - k . U in the frame of the water, limited in modulus, rad/s.
-
-    The limits are 0.5 times the frequency `sigma` of free waves, and 1.5 times sigma (at most the Nyquist
-    frequency); they are widened to include omega itself. They keep the result away from zero, where
-    w cannot be integrated. `doppler_shift` is k . U. All frequencies are in rad/s, and `dt`, s, is the time
-    between frames.
-
-    Examples
-    --------
-    >>> intrinsic_frequency(10.0, np.array([0.0, 2.0, 10.0, -20.0]), np.full(4, 8.0), 0.05)
-    array([10.,  8.,  4., 12.])
-    """
+    The limits, relative to the frequency `sigma` of free waves, keep it away from zero, where w cannot be
+    integrated, but always include omega itself."""
     intrinsic = np.asarray(omega - doppler_shift)
     least = np.minimum(omega, SLOWEST * sigma)
     most = np.maximum(omega, np.minimum(FASTEST * sigma, np.pi / dt))
@@ -79,10 +70,8 @@ class SpectraOnCurrent:
     zw: xr.DataArray
 
     def elevations(self, water: Water, dt: float, frames: int) -> tuple[Array, Array, Array]:
-        """Return three results over (omega, k), integrated or averaged over the direction of k.
-        They are the elevation spectrum from w, the cross spectrum of this elevation with z, and the noise
-        spectrum of w dt divided by the noise of the elevation from w. `dt`, s, is the time between frames,
-        and `frames` the number of frames per velocity."""
+        """Return the elevation spectrum from w, its cross spectrum with z, and a factor, all (omega, k).
+        The factor is the noise spectrum of w dt divided by the noise of the elevation from w."""
         ky, kx = np.meshgrid(self.w["ky"].values, self.w["kx"].values, indexing="ij")
         sigma = dispersion(np.hypot(kx, ky), *water)
         doppler_shift = kx * self.current[0] + ky * self.current[1]
@@ -107,9 +96,7 @@ class SpectraOnCurrent:
 
 
 def longest_waves(omega: Array, water: Water, speed: float) -> Array:
-    """Return the wavenumber, (lines,), rad/m, of waves that propagate along a current.
-    The current has the `speed`, m/s. These waves are the longest free waves of the frequencies `omega`
-    (lines,), rad/s."""
+    """Return the wavenumber, (lines,), rad/m, of waves that propagate along a current of `speed`, m/s."""
     return np.asarray(np.interp(omega, dispersion(_TABLE_K, *water) + _TABLE_K * speed, _TABLE_K))
 
 
@@ -126,8 +113,7 @@ LEARNED_WITHIN = 1.5  # chosen: a predicted signal-to-noise ratio is uncertain b
 
 
 def _white(noise: Array, use: Array) -> Array:
-    """Return the white noise of each ring, (k,): the median of `noise` (omega, k) where `use` is true.
-    It is 0 in rings without usable frequencies. Only few of the usable frequencies may contain waves."""
+    """Return the white noise of each ring, (k,): the median of `noise` (omega, k) where `use`, or 0."""
     noise = np.where(use, noise, np.nan)
     usable = np.isfinite(noise).any(axis=0)  # short records: some rings have no line away from free waves
     out: Array = np.zeros(noise.shape[1])
@@ -136,10 +122,7 @@ def _white(noise: Array, use: Array) -> Array:
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    """Return the frequency, Hz, up to which a spectrum is valid, and by how many decades it falls.
-    From the peak of `signal` (omega,), the function goes up as long as `valid` (omega,) is true. `omega` is
-    in rad/s. The decades are counted from the peak to there; they are NaN if the signal there is not
-    positive."""
+    """Return up to which frequency, Hz, a spectrum is valid from its peak on, and the decades it falls."""
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
@@ -155,8 +138,7 @@ def _smooth(values: Array) -> Array:
 
 
 def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Array:
-    """Return a mask (omega,): true where more than 90 % of the cells near free waves are trusted.
-    `trusted` is a mask (omega, k). The cells are those within one ring and three lines of the free waves."""
+    """Return a mask (omega,): true where more than 90 % of the cells near free waves are trusted."""
     k, waves = spectra.k, np.asarray(wavenumber(spectra.omega, *water))
     if spectra.speed:  # on a current, use the mean wavenumber of the energy
         energy = np.maximum(_smooth(spectra.zw), 0.0)
@@ -188,8 +170,7 @@ class _Gains:
         return np.asarray((self.z > 0) & (self.w > 0))
 
     def elevation(self, cross: Array) -> Array:
-        """Return the elevation spectrum (omega, k) from `cross`, the cross spectrum (omega, k) of z and w.
-        It is 0 where z or w cannot be corrected."""
+        """Return the elevation spectrum from the cross spectrum of z and w, 0 where it is not corrected."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.both_usable, cross / self.zw, 0.0)
 
@@ -227,8 +208,7 @@ class _Elevations:
 
 
 def _elevations(ring: xr.Dataset, water: Water, planes: SpectraOnCurrent) -> _Elevations:
-    """Return the elevation spectra from z and w, before noise is subtracted or gains are corrected.
-    `ring` is the result of `cross_spectra` for z and w."""
+    """Return the elevation spectra from z and w, before noise is subtracted or gains are corrected."""
     dt, omega = float(ring.attrs["dt"]), ring["omega"].values
     frames = int(ring.attrs.get("frames", 2))
     of_z = ring["E"].sel(quantity="z").values
@@ -252,8 +232,7 @@ class _Noise:
 
 def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
     """Return the noise of z and of the elevation from w, and fits in which those of z and of w dt are white.
-    The noise is the energy that z and w do not share. Without gains it is S_zz - Re S_zw for z, and
-    S_ww - Re S_zw for w. With gains, the shared energy is S_zw / gain_zw times the gain of z or of w."""
+    The noise is the energy that z and w, divided by their gains, do not share."""
     omega, k = spectra.omega, spectra.k
     use = (np.arange(omega.size) >= MIN_LINES) & (omega < 0.95 * omega[-1])
     # rings with too small a gain still contain some waves: there, the noise is taken away from free waves
@@ -277,9 +256,8 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
 
 def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array, Array]:
     """Return the elevation spectrum from z and w combined, its noise, and the uncertainty by the gains.
-    All are (omega, k), and the uncertainty is relative, for an amplitude. In every cell, z and w divided by
-    their gains are weighted by the inverse variance from noise and gain. The noise is already subtracted from
-    the spectrum."""
+    All are (omega, k). z and w divided by their gains are weighted by the inverse variance from noise and
+    gain in every cell. The noise is subtracted. The uncertainty is relative, for an amplitude."""
     std_z, std_w = gains.std
     waves = np.maximum(gains.elevation(spectra.zw), 0.0)
     by_z = np.sqrt(gains.z) / (noise.fit_z + std_z**2 * gains.z * waves)
@@ -305,9 +283,7 @@ def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
 ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
     """Return energies, masks of trusted cells, and uncertainties by the gains, for the four `METHODS`.
-    Each result is a tuple of arrays (omega, k), and the uncertainties are relative. With `undo`, noise is
-    subtracted, gains are corrected, and cells that are not trusted are 0. Otherwise the uncertainties are 0,
-    and noise is subtracted only from the fourth energy."""
+    With `undo`, noise is subtracted, gains are corrected, and cells that are not trusted are 0."""
     best, remaining, std_best = _best(spectra, noise, gains)
     with np.errstate(divide="ignore", invalid="ignore"):
         signals = (
@@ -334,9 +310,7 @@ def _by_method(
 def from_spectra(
     ring: xr.Dataset, water: Water, gain: xr.Dataset | None, planes: SpectraOnCurrent
 ) -> xr.Dataset:
-    """Return the result of `fused_spectra` from the result `ring` of `cross_spectra` for z and w.
-    If `gain` is None, spectra are not corrected. `planes` holds the spectra over (omega, ky, kx) and the
-    current."""
+    """Return the result of `fused_spectra` from the result `ring` of `cross_spectra` for z and w."""
     spectra = _elevations(ring, water, planes)
     omega = spectra.omega
     gains = _gains(gain, spectra.k)
@@ -394,8 +368,8 @@ def _freedom(ring: xr.Dataset) -> dict[str, Array]:
 
 
 def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
-    """Return a mask (omega,): true where most of the energy is near free waves or at larger k.
-    `energy` is (omega, k). Elsewhere it is mostly leakage of the peak, which has smaller wavenumbers."""
+    """Return a mask (omega,): true where most `energy` (omega, k) is near free waves or at larger k.
+    Elsewhere it is mostly leakage of the peak."""
     shorter = spectra.k > MIN_FREE_K * longest_waves(spectra.omega, water, spectra.speed)[:, None]
     energy = np.maximum(energy, 0.0)
     total = _smooth(energy.sum(axis=1))
@@ -403,9 +377,7 @@ def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
 
 
 def _kept_freedom(energies: dict[str, Array], remaining: Array, tiny: float) -> dict[str, Array]:
-    """Return, by method, the fraction of degrees of freedom left when noise is subtracted, (omega,).
-    `energies` holds E(omega) by method, `remaining` (omega,) is the noise of their combination, and `tiny`
-    the smallest denominator."""
+    """Return, by method, the fraction of degrees of freedom left when noise is subtracted, (omega,)."""
     zz, ww, zw, best = (energies[method] for method in METHODS)
     both = np.maximum(best + remaining, tiny)
     return {
@@ -512,9 +484,7 @@ def _fused(
     depth: float,
     gamma: float,
 ) -> xr.Dataset:
-    """Return the result of `fused_spectra` from the sums that `analyze` has made already.
-    `ring` is the result of `cross_spectra`, `density_w` the spectrum E(omega, ky, kx) of w, and `gamma` the
-    surface tension over density, m3/s2. The function removes "map z*w" from `ring_sums` to free memory."""
+    """Return the result of `fused_spectra` from the sums of an analysis; `density_w` is E(omega, ky, kx)."""
     cross = ring_sums.pop("map z*w")  # frees memory: no other product needs it
     zw = xr.DataArray(density(cross, welch), density_w.coords, density_w.dims)
     if gain is not None:
@@ -528,9 +498,8 @@ def _fused(
 
 def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str, float]) -> xr.Dataset:
     """Return the elevation spectra by method (`METHODS`) for the group `spectra` of `analyze`.
-    `filled` is, for z and for w, the error in E(omega) due to interpolated nodes. z or w fails at an omega
-    where its E(omega), from `ring`, is not above four times its error. ``valid_Ez`` is then false for the
-    methods that need it: the cross spectrum needs both, the fused one at least one."""
+    They are not valid where E(omega) of the fields that they need is below four times its error by `filled`.
+    """
     out = fused[BY_SOURCE].copy()
     step = float(ring["k"][1] - ring["k"][0])
     over_k = {name: ring["E"].sel(quantity=name).sum("k").values * step for name in NAMES}

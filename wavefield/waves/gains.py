@@ -27,9 +27,7 @@ MIN_AMPLITUDE = 0.5  # smallest gain that is corrected (chosen): a correction at
 
 def path_factor(omega: Values, dt: float, frames: int) -> Values:
     """Return the amplitude gain of a velocity from several frames, relative to one from two frames.
-    With `omega` in rad/s and the weights w of `PATH_WEIGHTS` for this number of `frames`, the gain is w_0 + 2
-    w_1 cos(omega dt) + 2 w_2 cos(2 omega dt). For instantaneous velocities (`frames` = 1) it is b / sin b,
-    with b = omega dt / 2."""
+    It is w_0 + 2 w_1 cos(omega dt) + 2 w_2 cos(2 omega dt) with the weights w of `PATH_WEIGHTS`."""
     factor: Values
     if frames == INSTANTANEOUS:
         reciprocal: Any = np.sinc(np.asarray(omega) * dt / (2 * np.pi))
@@ -45,10 +43,7 @@ def path_factor(omega: Values, dt: float, frames: int) -> Values:
 
 
 def noise_of_displacement(omega: Values, dt: float, frames: int) -> Values:
-    """Return the noise spectrum of displacements over that of the elevation integrated from them.
-    It is 4 sin^2 b with b = omega dt / 2. For instantaneous velocities (`frames` = 1), a displacement is the
-    velocity times dt, and the ratio is (2 b)^2. `omega` is in rad/s, and dt, s, is the time between
-    frames."""
+    """Return the noise spectrum of displacements over that of the elevation integrated from them."""
     twice: Any = omega * dt if frames == INSTANTANEOUS else 2 * np.sin(omega * dt / 2)
     factor: Values = twice**2
     return factor
@@ -56,10 +51,8 @@ def noise_of_displacement(omega: Values, dt: float, frames: int) -> Values:
 
 def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
     """Return the factor that converts the transform of z at mid-time to z at the first frame of each step.
-    `k` is in rad/m, `omega` in rad/s. A run interpolates z from six frames (``frames`` > 2) that move with
-    the mean flow. There a free wave turns by 2 b = sigma(k) dt per frame, so the interpolation has the gain
-    (150 cos b - 25 cos 3b + 3 cos 5b) / 128. The factor divides by this gain, or by 1/2 where the gain is
-    smaller. For one or two frames, it only shifts the time."""
+    A run interpolates z from six frames that move with the mean flow; for other `frames` it only shifts the
+    time."""
     start = np.exp(-0.5j * omega * dt)
     if frames <= 2:  # fields of another program
         return np.asarray(start)
@@ -112,9 +105,7 @@ PREDICTED = "linear theory"  # first words of the attribute `origin` of a predic
 
 
 def label(gains: dict[str, Array], k: Array, origin: str) -> xr.Dataset:
-    """Return the Dataset of a gain from amplitude gains (DIRECTIONS, k) of several fields.
-    `gains` holds these arrays by field: z, u, v or w. `k` is in rad/m, and `origin` says where the gain is
-    from."""
+    """Return the Dataset of a gain from amplitude gains (DIRECTIONS, k) by field: z, u, v or w."""
     out = {f"gain_{name}": (("direction", "k"), values) for name, values in gains.items()}
     coords = {"direction": np.arange(DIRECTIONS) * np.pi / DIRECTIONS} | k_coords(k)
     attrs = {"title": "gain of the matching windows", "origin": origin}
@@ -162,8 +153,7 @@ def gain_of(
     cube: xr.Dataset, requested: str | Path | xr.Dataset | Literal[False] | None = None
 ) -> xr.Dataset | None:
     """Return the gain requested by the user, else the gain stored in the cube, else None.
-    `requested` is a gain or the path of one, or False for no gain: then the result is None, too. A stored
-    gain without known values for long waves counts as missing. StoreError is raised as in `read_gain`."""
+    False stands for no gain. A stored gain without known values for long waves counts as missing."""
     if requested is False:
         return None
     if requested is not None:
@@ -183,9 +173,8 @@ def is_predicted(gain: xr.Dataset) -> bool:
 
 
 def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the factor that corrects the power of a field for a gain, and a mask: true where known.
-    Both are (k,), with `k` in rad/m. Where the amplitude gain of field `name` is below one half, the factor
-    is 1 and the mask false. If there is no gain of this field, all factors are 1 and the mask is true."""
+    """Return the factor that corrects the power of field `name` for a gain, and a mask: true where known.
+    Both are (k,). Where the amplitude gain is below one half, the factor is 1 and the mask false."""
     if f"gain_{name}" not in gain:
         return np.ones_like(k), np.ones(k.shape, bool)
     power = ring_gain(gain, name, name, k)
@@ -195,8 +184,8 @@ def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np
 
 def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
     """Return the gain with ``weight`` (direction, k): fractions of the wave energy of a ring of |k|.
-    The fractions add up to 1 over the directions. They are estimated from `plane_w`, the spectrum E(ky, kx)
-    of w. Gains of oblique cameras depend much on direction."""
+    They follow from the spectrum `plane_w` of w over (ky, kx). Gains of oblique cameras depend on direction.
+    """
     ky, kx = np.meshgrid(plane_w["ky"].values, plane_w["kx"].values, indexing="ij")
     sectors, step = gain.sizes["direction"], float(gain["k"][1] - gain["k"][0])
     cell = min(float(np.diff(plane_w[name][:2])[0]) for name in ("ky", "kx"))
@@ -212,8 +201,7 @@ def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
 
 def ring_gain(gain: xr.Dataset, one: str, other: str, k: Array) -> Array:
     """Return the gain of the power or cross spectrum of two fields, (k,), averaged over directions.
-    `one` and `other` name the fields and are equal for a power spectrum. `k` is in rad/m; above the largest
-    known k the gain is 0. Directions are weighted by ``weight``, or equally if the gain has none."""
+    Above the largest known k it is 0."""
     product = gain[f"gain_{one}"] * gain[f"gain_{other}"] * gain.get("weight", 1.0 / gain.sizes["direction"])
     product = product.sum("direction", skipna=False)
     known = np.isfinite(product.values)

@@ -29,15 +29,7 @@ def lags(longest: int) -> Array:
 
 def powers_of_differences(values: Array, axis: int, lag: int, differences: int) -> Array:
     """Return the number of increments along an axis and the sums of |increment|^p for p = 1 to 6, (7,).
-
-    `lag` is in nodes or steps. `differences` is 1 or 2, for first or second differences. The result is
-    zero if the axis is too short for an increment.
-
-    Examples
-    --------
-    >>> powers_of_differences(np.array([0.0, 1.0, 4.0, 9.0]), 0, 1, 2)[:3].tolist()
-    [2.0, 4.0, 8.0]
-    """
+    `differences` is 1 or 2, for first or second differences; `lag` is in nodes or steps."""
     size = values.shape[axis] - differences * lag
     if size <= 0:
         return np.zeros(ORDERS.size + 1)
@@ -54,8 +46,7 @@ def powers_of_differences(values: Array, axis: int, lag: int, differences: int) 
 
 def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[int, int]]]:
     """Return the blocks of steps, (start, stop, run), into which the runs of a record are cut.
-    A block is twice as long as the `longest` lag, in steps, or shorter if there would be fewer than eight
-    blocks."""
+    A block is twice as long as the `longest` lag, or shorter if there would be fewer than eight."""
     steps = sum(b - a for a, b in record.runs)
     length = max(min(2 * longest, steps // MIN_BLOCKS), 2)
     return [(a, a + length, run) for run in record.runs for a in range(run[0], run[1] - length + 1, length)]
@@ -159,8 +150,7 @@ def structure_functions(
 
 
 def _moments(sums: Array) -> tuple[Array, Array]:
-    """Return structure functions (..., lags, orders) and flatness (..., lags).
-    `sums` (..., lags, 7) are sums of the results of `powers_of_differences`."""
+    """Return structure functions (..., lags, orders) and flatness (..., lags) from sums (..., lags, 7)."""
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = sums[..., 1:] / sums[..., :1]
         return mean, mean[..., 3] / mean[..., 1] ** 2

@@ -27,9 +27,8 @@ Convert = Callable[[Any, str], tuple[Any, dict[str, Any]]]
 
 
 def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
-    """Make a decorator that converts the first argument of an estimator.
-    `convert(argument, name)` gets the argument and the name of the estimator. It returns the converted
-    argument and parameters stored in it, such as the depth. These are used where the caller gives none."""
+    """Make a decorator that replaces the first argument of an estimator by ``convert(argument, name)``.
+    `convert` also returns parameters stored in the argument, which are used where the caller gives none."""
 
     def decorate(estimator: Estimator) -> Estimator:
         signature = inspect.signature(estimator)
@@ -70,8 +69,7 @@ def is_cube(given: object) -> bool:
 
 
 def water_parameters(given: Any) -> dict[str, float]:
-    """Return ``depth`` (m) and ``gamma``, surface tension over density (m3/s2), that the argument carries.
-    The argument is a cube, field or spectrum. The result is empty if neither is stored in it."""
+    """Return the depth (m) and gamma (m3/s2) that a cube, field or spectrum carries, or an empty dict."""
     stated = {name: given.coords[name].item() for name in WATER if name in given.coords}
     stated |= stated_water(given.attrs)
     if not stated:
@@ -86,8 +84,7 @@ def keep_water(out: xr.Dataset, given: xr.DataArray) -> xr.Dataset:
 
 
 def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
-    """Return a variable and its water parameters, or raise CubeError if it is not a DataArray.
-    `name` is the name of the estimator, for the message. The dimensions are not checked."""
+    """Return a DataArray and its water parameters; else raise CubeError, which names the estimator."""
     if not isinstance(given, xr.DataArray):
         raise CubeError(
             f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"
@@ -96,8 +93,7 @@ def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
 
 
 def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return `given`, if it is a cube, and an empty dict of parameters; else raise CubeError.
-    `name` is the name of the estimator, for the message."""
+    """Return `given` and no parameters if it is a cube; else raise CubeError, which names the estimator."""
     if isinstance(given, str | Path):
         raise CubeError(f"{name} needs a cube, not its path; use wavefield.open_cube({str(given)!r})")
     if not is_cube(given):
@@ -208,8 +204,7 @@ def cube(
 
 
 def _seconds(name: str, field: object) -> xr.DataArray:
-    """Return a field with times in seconds; dates become seconds since the first date.
-    `name` is the name of the field for the CubeError that is raised if it is not a DataArray."""
+    """Return a field with times in seconds; dates become seconds since the first date."""
     if not isinstance(field, xr.DataArray):
         raise CubeError(f"{name!r} is a {type(field).__name__}: give a DataArray over time, y and x")
     if "time" in field.coords and field["time"].dtype.kind in "mM":
@@ -220,8 +215,7 @@ def _seconds(name: str, field: object) -> xr.DataArray:
 
 
 def _rate(z: xr.DataArray) -> xr.DataArray:
-    """Return the time derivative of z, m/s, over (time, y, x); NaN at nodes that are never measured.
-    Raises CubeError if a node is measured at some times only."""
+    """Return the time derivative of z, m/s, over (time, y, x); NaN at nodes that are never measured."""
     t = z["time"].values.astype(float)
 
     def derive(values: np.ndarray) -> Any:

@@ -24,9 +24,8 @@ _TILE = 8  # steps transposed at once: a cache line of 64 bytes
 
 @_loose
 def join(first: Array, second: Array, window: Array, out: Array) -> None:
-    """Join the halves of a segment without mean and trend, windowed and transposed, into ``out``.
-    The halves hold (n / 2, 2 cells), and ``out`` (cells, 2 n), real numbers: real and imaginary parts
-    alternate. ``window`` has n values."""
+    """Join the halves (n / 2, 2 cells) of a segment without mean and trend, windowed, in ``out``.
+    ``out`` is (cells, 2 n); real and imaginary parts alternate."""
     half, columns = first.shape
     n = 2 * half
     middle = (n - 1) / 2
@@ -73,10 +72,8 @@ def _add_row(row: Array, factor: float, out: Array) -> None:
 
 @_loose
 def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Array, out: Array) -> None:
-    """Add the powers of Fourier lines f (cells, n) to ``out`` (2, rings, n // 2 + 1).
-    ``out[0]`` gets sums of |f|^2 over the cells of each ring, with ``weight``, and ``out[1]`` sums of |f|^4,
-    with ``spread``. Both signs of omega are added together. ``start``, ``ring``, ``weight`` and ``spread``
-    are those of `rings.Rings`."""
+    """Add powers of Fourier lines f (cells, n), summed over rings, to ``out`` (2, rings, n // 2 + 1).
+    ``out`` gets |f|^2 with ``weight`` and |f|^4 with ``spread``; both signs of omega are added together."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n, f.real.dtype)
@@ -103,9 +100,7 @@ def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Arra
 @_rounded
 def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Array, out: Array) -> None:
     """Add the cross products conj(f) g of Fourier lines (cells, n) to ``out`` (2, rings, n // 2 + 1).
-    ``out[0]`` gets the real and ``out[1]`` the imaginary part, summed over the cells of each ring, with both
-    signs of omega added together. The sign is that of waves exp(i (k . x - omega t)). ``start``, ``ring`` and
-    ``weight`` are those of `rings.Rings`."""
+    ``out`` gets real and imaginary parts, with the sign of waves exp(i (k . x - omega t))."""
     cells, n = f.shape
     half = n // 2
     real = np.empty(n, f.real.dtype)
@@ -130,8 +125,7 @@ def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Ar
 
 @_loose
 def ring_squares(f: Array, g: Array, start: Array, ring: Array, spread: Array, out: Array) -> None:
-    """Add |f|^2 |g|^2 of the Fourier lines of two fields (cells, n) to ``out`` (rings, n // 2 + 1).
-    Both signs of omega are added together. ``start``, ``ring`` and ``spread`` are those of `rings.Rings`."""
+    """Add |f|^2 |g|^2 of Fourier lines (cells, n) to ``out`` (rings, n // 2 + 1), as in `ring_powers`."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n)
@@ -162,8 +156,7 @@ def add_powers(f: Array, out: Array) -> None:
 
 @_rounded
 def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) -> None:
-    """Add ``real`` times the real part and ``imaginary`` times the imaginary part of conj(f) g to ``out``.
-    f, g and ``out`` are (cells, n); the two factors are (n,)."""
+    """Add ``real`` times the real and ``imaginary`` times the imaginary part of conj(f) g to ``out``."""
     for c in range(f.shape[0]):
         a = f[c]
         b = g[c]
@@ -175,8 +168,7 @@ def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) 
 
 @_fast
 def _along(z: Array, factor: float, out: Array) -> None:
-    """Write the derivative of a line into ``out``; ``factor`` is 1 / spacing.
-    It uses central differences of sixth order, of lower order near the ends."""
+    """Write the derivative of a line into ``out``: central differences of sixth order, lower at the ends."""
     n = z.size
     if n > 6:
         a, b, c, d, e, f = z[4:], z[2:], z[5:], z[1:], z[6:], z
@@ -201,8 +193,7 @@ def _along(z: Array, factor: float, out: Array) -> None:
 
 @_fast
 def _across(z: Array, i: int, factor: float, out: Array) -> None:
-    """Write dz/dy at row i of z (y, x) into ``out`` (x,); ``factor`` is 1 / dy.
-    The differences are those of `_along`."""
+    """Write dz/dy at row i of z (y, x) into ``out`` (x,), by the differences of `_along`."""
     ny, nx = z.shape
     room = min(i, ny - 1 - i)
     if room >= 3:
@@ -229,8 +220,7 @@ def _across(z: Array, i: int, factor: float, out: Array) -> None:
 
 @_fast
 def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
-    """Write dz/dy and dz/dx of z (steps, y, x) into ``z_y`` and ``z_x``.
-    Uses central differences of sixth order, of lower order near the edges."""
+    """Write dz/dy and dz/dx of z (steps, y, x) into ``z_y`` and ``z_x``."""
     for t in range(z.shape[0]):
         for i in range(z.shape[1]):
             _along(z[t, i], 1 / dx, z_x[t, i])
@@ -247,9 +237,7 @@ def advection(
     dx: float,
     out: Array,
 ) -> None:
-    """Write the nonlinear term u . grad z of n steps into ``out`` (n, y, x).
-    ``first`` is the index in the fields (steps, y, x) of the first of these steps. The derivatives are those
-    of `gradient`."""
+    """Write the nonlinear term u . grad z of n steps, from step ``first`` of the fields on, into ``out``."""
     z_y = np.empty(z.shape[2], z.dtype)
     z_x = np.empty(z.shape[2], z.dtype)
     for t in range(out.shape[0]):
@@ -266,8 +254,7 @@ def advection(
 @_loose
 def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: Array, counts: Array) -> None:
     """Add the powers 1 to 4 of values (steps, nodes) minus ``mean`` to ``sums`` (4, nodes).
-    The values are also added to the histogram ``counts``, whose second bin begins at ``low``. It has
-    ``per_unit`` bins per unit; its first and last bins count the values outside."""
+    The values are also counted in a histogram, whose second bin begins at ``low``."""
     last = counts.size - 1
     for r in range(values.shape[0]):
         for i in range(values.shape[1]):
@@ -286,9 +273,8 @@ def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: A
 @_loose
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
     """Add the power of each wave to the spectrum ``out`` (lines, ny, nx), spread over neighbouring cells.
-    Along each of the three axes, the cells of a wave begin at the index in ``first`` (3, waves), and the wave
-    is divided between them by ``weights`` (3, waves, cells). Cells beyond an edge of the k plane continue at
-    its opposite edge; lines outside the spectrum are left out."""
+    ``first`` (3, waves) is the first cell along each axis; ``weights`` (3, waves, cells) divide the power.
+    Cells beyond an edge of the k plane continue at its opposite edge; lines outside are left out."""
     lines, ny, nx = out.shape
     near = weights.shape[2]
     columns = np.empty(near, np.int64)

@@ -27,17 +27,16 @@ Array = NDArray[Any]
 
 def relative_std(power: Array, dof: Array, overlap: Array) -> float:
     """Return the relative standard uncertainty of the sum of a spectrum over its lines or rings.
-    `power` (n,) is the spectrum, `dof` (n,) its degrees of freedom, and `overlap` the squared correlations
-    between lines or rings. NaN if a value is not finite or the sum is not positive."""
+    `overlap` holds the squared correlations between these. NaN if a value is not finite or the sum is zero.
+    """
     if not (np.isfinite(power).all() and np.isfinite(dof).all() and power.sum() > 0):
         return np.nan
     return float(np.sqrt(2 / sum_freedom(power[:, None], np.maximum(dof, 1)[:, None], overlap)[0]))
 
 
 def moment_stds(energy: xr.DataArray, dof: Array, welch: Welch) -> dict[str, float]:
-    """Return relative standard uncertainties of the variance and of the mean square slope.
-    The keys are ``variance`` and ``slope``. `energy` is E(omega, k) of the elevation; `dof` (omega,) are the
-    degrees of freedom of the mean of the spectra of all nodes."""
+    """Return relative standard uncertainties of the ``variance`` and of the mean square ``slope``.
+    `dof` (omega,) are the degrees of freedom of the mean of the spectra of all nodes."""
     energy = energy.fillna(0.0)
     longer = welch.record.steps_in_runs() * welch.record.dt / welch.duration
     overlap = hann_correlation(energy.sizes["omega"])
@@ -76,9 +75,8 @@ def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
 
 
 def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tuple[float, float]]:
-    """Return the uncertainties of `moment_stds`, and the peak frequency with its standard uncertainty.
-    Both frequencies are in rad/s. All values are NaN if the record is shorter than a segment. The peak and
-    its uncertainty are NaN if the record has less than ten peak periods."""
+    """Return the uncertainties of `moment_stds`, and the peak frequency with its standard uncertainty, rad/s.
+    All are NaN if the record is shorter than a segment; the peak, if it has less than ten periods."""
     try:
         both = komega(z, record=record)
     except CubeError:
@@ -94,9 +92,8 @@ def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tup
 
 def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Array) -> tuple[float, float]:
     """Return the frequency of the spectral peak and its standard uncertainty, rad/s.
-    The peak of `energy` (omega,) is that of a parabola through the logarithm of the highest `valid` line and
-    its neighbours. The uncertainty is the scatter of the peaks of random spectra about `energy` with the
-    degrees of freedom `dof`; it is NaN if no `dof` is finite."""
+    The peak is that of a parabola through the logarithm of the highest `valid` line and its neighbours, the
+    uncertainty its scatter in random spectra with the degrees of freedom `dof`."""
     measured = np.log(np.maximum(np.nan_to_num(energy), 1e-9 * np.nanmax(energy[valid])))
     white = np.random.default_rng(0).standard_normal((BOOTSTRAP_DRAWS, energy.size + 2))
     # filtered noise with the correlations of the powers of a Hann window's lines, 4/9 and 1/36
@@ -111,9 +108,7 @@ def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Arr
 
 
 def with_stds(out: xr.Dataset, stds: dict[str, float]) -> xr.Dataset:
-    """Return `out` with standard uncertainties of the significant height, mean square slope and rms slope.
-    `stds` has the relative standard uncertainties of the variance of z (key `variance`) and of the mean
-    square slope (key `slope`)."""
+    """Return `out` with standard uncertainties of significant height and slopes, from `moment_stds`."""
     parts = {}
     for name, kind, power in (
         ("significant_height", "variance", 0.5),
@@ -126,8 +121,7 @@ def with_stds(out: xr.Dataset, stds: dict[str, float]) -> xr.Dataset:
 
 
 def steepness_std(out: xr.Dataset, peak: float, depth: float, gamma: float) -> xr.Dataset:
-    """Return `out` with standard uncertainties of peak frequency, peak wavenumber and steepness.
-    `peak` is the standard uncertainty of the peak frequency, rad/s."""
+    """Return `out` with uncertainties of peak frequency, peak wavenumber and steepness (`peak`: rad/s)."""
     k = float(out["peak_k"])
     k_std = peak / float(group_velocity(k, depth, gamma))
     relative = np.hypot(k_std / k, float(out["significant_height_std"] / out["significant_height"]))
@@ -145,8 +139,7 @@ Scales = Mapping[str, tuple[float, float]]  # rough mean and standard deviation 
 
 
 def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return a mean and standard deviation of each named field, from a few steps of the record.
-    They place the bins of the histograms. The standard deviation is 1 for a constant field."""
+    """Return a mean and standard deviation of each field from a few steps, for the bins of the histograms."""
     missing = set(record.bridged)
     steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
     sampled = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, SAMPLED_STEPS).astype(int)})
@@ -161,10 +154,9 @@ def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict
 
 
 def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -> dict[str, Array]:
-    """Return sums over the steps of fields (steps, ny, nx), by name of the sum.
-    ``powers <field>`` (4, nodes) are sums of powers of the field minus the mean in `scales`; ``counts
-    <field>`` is a histogram; ``steps`` is the number of steps. ``slopes`` are the sum of the squared slopes
-    of z and their number."""
+    """Return sums over the steps of fields (steps, ny, nx), by name.
+    ``powers <field>`` (4, nodes), a histogram ``counts <field>``, ``steps``, and ``slopes``, the sum of the
+    squared slopes of z and their number."""
     out: dict[str, Array] = {}
     for name, values in fields.items():
         mean, std = scales[name]
@@ -180,11 +172,9 @@ def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -
 
 
 def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
-    """Return the moments of a field from `powers` (4, nodes).
-    At each node, these are sums over `steps` steps of (value - `guess`)^p, p = 1 to 4. Standard deviation,
-    skewness and excess kurtosis are about the mean in time of each node, because differences between these
-    means are mostly errors of the calibration. ``mean`` and ``pdf_std`` are the mean and standard deviation
-    of the values at all nodes together."""
+    """Return the moments of a field from sums over steps of (value - `guess`)^p, p = 1 to 4, (4, nodes).
+    They are about the mean in time of each node, since differences of these means are mostly calibration
+    errors; ``mean`` and ``pdf_std`` are those of all values together."""
     a1, a2, a3, a4 = powers / steps
     m2 = (a2 - a1**2).mean()
     m3 = (a3 - 3 * a1 * a2 + 2 * a1**3).mean()
@@ -201,9 +191,7 @@ def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
 
 
 def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, float]) -> Array:
-    """Return the probability density (bins,) of (value - mean) / pdf_std.
-    `counts` is a histogram over bins of the rough mean and standard deviation `scale`. Its cumulative sum is
-    interpolated to bins of the exact `moments`."""
+    """Return the density (bins,) of (value - mean) / pdf_std, from a histogram of the rough `scale`."""
     edges = np.linspace(-REACH, REACH, BINS + 1)
     if not moments["pdf_std"] > 0:
         return np.full(BINS, np.nan)
@@ -219,8 +207,7 @@ def _bin_centres() -> Array:
 
 
 def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
-    """Return the statistics of a record as a Dataset, from the sums of `sums_of`.
-    `dt`, s, turns velocities into displacements over one step."""
+    """Return the statistics from the sums of `sums_of`; `dt` turns velocities into displacements."""
     fields = {name: field for name, field in QUANTITIES.items() if f"powers {field}" in sums}
     rows: dict[str, list[Any]] = defaultdict(list)
     for name, field in fields.items():
@@ -305,8 +292,7 @@ def statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
-    """Add peak frequency (Hz), peak wavenumber (rad/m) and steepness to `statistics`, with uncertainties.
-    The peak is that of the elevation spectrum from stereo in `fused`."""
+    """Add peak frequency (Hz), peak wavenumber (rad/m) and steepness to `statistics`, with uncertainties."""
     stereo = fused.sel(source="stereo")  # integrated w has no lowest lines, in which the peak may be
     lines = inner(fused.sizes["omega"])
     peak, std = peak_and_std(stereo["Ez"].values, lines, stereo["dof_Ez"].values, fused["omega"].values)

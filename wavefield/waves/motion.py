@@ -33,9 +33,8 @@ def slopes(z: Array, dy: float, dx: float) -> tuple[Array, Array]:
 def terms(
     fields: Mapping[str, Array], dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Array]:
-    """Return slopes, nonlinear term, residual, vorticity and divergence by name, each (..., ny, nx).
-    `fields` holds z, z_t, u, v, w. The mean `current` (x, y), m/s, is subtracted from u and v in the
-    nonlinear term only. The names are those of `OUTPUTS`."""
+    """Return the quantities `OUTPUTS`, each (..., ny, nx), from fields z, z_t, u, v, w of the same shape.
+    The `current`, m/s, is subtracted from u and v in the nonlinear term only."""
     shape = fields["z"].shape
     z, z_t, u, v, w = (np.ascontiguousarray(fields[name]).reshape(-1, *shape[-2:]) for name in FIELDS)
     z_y, z_x = slopes(z, dy, dx)
@@ -161,9 +160,7 @@ def balance(
     dx: float,
     current: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, float]:
-    """Return rms values over the nodes of step i, by name.
-    They are of w, z_t, the nonlinear term and the residual of the kinematic condition, m/s, and of vorticity
-    and divergence, 1/s. `current` is subtracted in the nonlinear term."""
+    """Return the rms over the nodes of step i of the terms of the kinematic condition, by name."""
     step = {name: fields[name][i].astype(float) for name in FIELDS}
     parts = terms(step, dy, dx, current)
     values = {
@@ -178,10 +175,7 @@ def balance(
 
 
 def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
-    """Return the part of the group `kinematics` with the rms of each term at some steps.
-    `rows` are results of `balance`, each with its ``step``. ``nonlinear_fraction`` is the rms of the
-    nonlinear term over that of w, and ``residual_fraction`` that of the residual over that of the nonlinear
-    term."""
+    """Return the part of the group `kinematics` with the rms of each term at some steps, from `balance`."""
     time = cube["time"].values.astype(float)
     steps = np.array([row["step"] for row in rows], int)
     names = [name for name in rows[0] if name != "step"] if rows else []
@@ -199,8 +193,7 @@ def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
 
 
 def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float64]]) -> xr.Dataset:
-    """Return the part of the group `kinematics` with the mean current.
-    `mean_and_std` holds the mean of u and v over the record (2,) and its standard uncertainty (2,), m/s."""
+    """Return the part of the group `kinematics` with the mean current and its standard uncertainty."""
     out, (mean, std) = {}, mean_and_std
     for i, axis in enumerate(("x", "y")):
         out[f"mean_current_{axis}"] = ((), float(mean[i]))
@@ -209,9 +202,7 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Return the amplitude ratio of the nonlinear term to w, for the group `kinematics`.
-    It is sqrt(E_nl / E_w), over k and over omega, with the spectra E_nl of the nonlinear term and E_w of w.
-    ``low_`` and ``high_`` variables times the ratio are the limits of its 95 % interval."""
+    """Return the ratio sqrt(E_nl / E_w) over k and over omega, with its 95 % interval, for `kinematics`."""
     out: dict[str, Any] = {}
     w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))
     for axis in ("k", "omega"):

@@ -104,9 +104,7 @@ def phase_average(
 
 
 def phase_weights(angle: Array, phases: int) -> Array:
-    """Return the weight of each step in each phase, (steps, phases).
-    `angle` (steps,) is the phase of each step, rad. A step contributes to the two nearest phases,
-    linearly."""
+    """Return the weight of each step in each phase, (steps, phases): linear, in the two nearest phases."""
     place = angle / (2 * np.pi) * phases
     low = np.floor(place)
     out = np.zeros((angle.size, phases))
@@ -117,9 +115,7 @@ def phase_weights(angle: Array, phases: int) -> Array:
 
 
 def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict[str, Array]:
-    """Return three sums over the steps for each field, at every node.
-    ``mean <field>`` is weighted with `weights` (steps, phases), ``fit <field>`` with `design` (steps,
-    functions), and ``square <field>`` sums the squares."""
+    """Return sums over the steps of each field at every node: with `weights`, `design`, and of squares."""
     sums: dict[str, Array] = {}
     first = 0
     for run in read.record.runs:

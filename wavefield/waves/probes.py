@@ -107,8 +107,7 @@ def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
 
 def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
     """Resample the elevation `values` of a probe at times `clock` to the time step dt of the cube.
-    Returns times and values; values are averaged over a step if the probe samples faster. None if fewer than
-    40 samples are finite or remain."""
+    Values are averaged over a step if the probe samples faster. None if fewer than 40 samples remain."""
     good = np.isfinite(values) & np.isfinite(clock)
     if good.sum() < MIN_SAMPLES:
         return None
@@ -121,9 +120,7 @@ def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
 
 
 def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: float) -> ProbeFit | None:
-    """Compare a probe with the elevation `here` of the cube at the place of the probe.
-    `time` are the times of `here`; `clock` and `values` are those of the probe, with the same step dt. None
-    if the series overlap too little."""
+    """Compare a probe with the elevation `here` of the cube at its place; None if they overlap too little."""
     lags, found = correlation(here, values, int(MIN_OVERLAP * time.size))
     if not lags.size:
         return None
@@ -138,8 +135,7 @@ def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: f
 
 def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array]:
     """Return lags in samples, and the normalised correlation of the series a and b at each lag.
-    Only lags at which the series have at least `least` finite samples in common are returned. At a positive
-    lag, b is later than a."""
+    Lags with fewer than `least` common finite samples are left out. At a positive lag, b is later than a."""
     from scipy.signal import correlate, correlation_lags  # takes a second to import
 
     known = [np.isfinite(v).astype(float) for v in (a, b)]
@@ -247,9 +243,7 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
 
 
 def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[NDArray[np.bool_], float]:
-    """Return a mask of the probe samples within `span`, and their sampling rate, Hz.
-    `span` is the start and end of the record, s. Raises CubeError if the samples cover less than about one
-    segment (`duration`, s), or if they are not evenly spaced."""
+    """Return a mask of the probe samples within `span`, and their sampling rate, Hz."""
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(
@@ -264,8 +258,7 @@ def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tup
 
 
 def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int]:
-    """Return frequencies (rad/s), the spectral density (probe, omega) and the number of segments.
-    `values` (probe, time) are sampled at `rate`, Hz; a segment lasts `duration`, s."""
+    """Return frequencies (rad/s), the spectral density (probe, omega) and the number of segments."""
     from scipy.signal import welch  # takes a second to import
 
     n = min(round(duration * rate), values.shape[1])

@@ -91,9 +91,8 @@ def registered() -> list[WaveProduct]:
 def compute_ready(
     waiting: list[WaveProduct], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
 ) -> dict[str, Sequence[str]]:
-    """Compute all products in `waiting` that can be computed from `values` and from each other.
-    Removes them from `waiting`, adds their values to `values`, and returns their notes by name of product.
-    `each(work, items)` computes costly products on workers; without it, this process computes all."""
+    """Compute all products in `waiting` that `values` and other products allow; return their notes by name.
+    It moves their values to `values`. `each(work, items)` computes costly products on workers."""
     notes: dict[str, Sequence[str]] = {}
     while ready := [product for product in waiting if all(name in values for name in product.inputs)]:
         # quick products first, so that as many as possible of the others can run in parallel
@@ -109,9 +108,8 @@ def compute_ready(
 
 
 def _computed(job: tuple[Callable[..., Any], Sequence[object], str]) -> Noted:
-    """Compute a product from a job: its function, its inputs, and the first words of a note.
-    If the function raises CubeError, the value is None and the note gives the reason; without first words,
-    the error is raised."""
+    """Compute a product from its function, its inputs, and the first words of a note.
+    If the function raises CubeError, the note gives the reason; without first words, the error is raised."""
     compute, inputs, without = job
     with np.errstate(all="ignore"):
         try:

@@ -25,9 +25,8 @@ ROUNDS = 3  # alternations between the prior spectrum and the filled values; a f
 
 
 def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
-    """Return a block (steps, ny, nx) with the most probable values at missing steps and NaN nodes.
-    `missing` (steps,) marks the missing steps. A complete block is returned as it is. A few gaps are each
-    filled from their surroundings, many of them from all steps near them at once."""
+    """Return a block (steps, ny, nx) with the most probable values at `missing` steps and NaN nodes.
+    A few gaps are each filled from their surroundings, many of them from all steps near them at once."""
     if not missing.any() and all_finite(block):
         return block
     hole = ~np.isfinite(block) | missing[:, None, None]
@@ -45,9 +44,7 @@ def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
 
 def fill_error(block: Array) -> float:
     """Return the standard deviation of the error of `fill` at the middle step of a block.
-    The block (steps, ny, nx) has 2 `FILL_MARGIN` + 1 steps. Measured nodes half a field away from the holes
-    are removed, in holes of the same shapes, and compared with their filled values. NaN if the middle step
-    has no hole to compare."""
+    Measured nodes half a field away from the holes are removed, filled and compared. NaN if there is none."""
     holes = ~np.isfinite(block)
     ny, nx = holes.shape[1:]
     elsewhere = np.roll(holes, (ny // 2, nx // 2), (1, 2))  # at all steps, since a hole may last
@@ -60,10 +57,9 @@ def fill_error(block: Array) -> float:
 
 def most_probable(block: Array, hole: NDArray[np.bool_]) -> Array:
     """Return the most probable values at the holes of a block (steps, ny, nx), as (hole.sum(),).
-    They are the conditional mean of a Gaussian process with the spectrum S(omega, |k|) of the filled block. S
-    and the filled values are therefore computed in turns, starting from local means. With the filter G of
-    gain 1 - min(S) / S, and m the missing and o the observed nodes after subtraction of the mean, the values
-    solve x_m = G_mm x_m + G_mo x_o."""
+    They are the conditional mean of a Gaussian process with the spectrum S(omega, |k|) of the filled block,
+    so S and the values are computed in turns. With the filter G of gain 1 - min(S) / S, the missing nodes m
+    and the observed nodes o of the fluctuations satisfy x_m = G_mm x_m + G_mo x_o."""
     mean = block[~hole].mean(dtype=float)
     known = np.where(hole, 0, block - mean).astype(block.dtype)
     weight = ndimage.gaussian_filter((~hole).astype(block.dtype), 1.0)
@@ -91,8 +87,7 @@ def _with(known: Array, hole: NDArray[np.bool_], values: Array) -> Array:
 
 
 def _conditional_mean(gain: Array, known: Array, hole: NDArray[np.bool_], x: Array) -> Array:
-    """Solve x_m = G_mm x_m + G_mo x_o for x_m, by conjugate gradients that start from x.
-    `gain` is the filter G on the lines of a cosine transform; `known` is the block, 0 at the holes."""
+    """Solve x_m = G_mm x_m + G_mo x_o for x_m, by conjugate gradients that start from x."""
     from scipy.sparse.linalg import LinearOperator, cg  # slow to import; few records need it
 
     def predicted(whole: Array) -> Array:
@@ -252,9 +247,8 @@ def all_finite(block: np.ndarray) -> bool:
 
 def outside_holes(finite: np.ndarray) -> np.ndarray:
     """Return a mask (steps, ny, nx) that is True outside holes, from the mask `finite` of measured nodes.
-    A hole is a region covered by squares of missing nodes with `HOLE_SIDE` nodes a side; smaller gaps are not
-    holes. Nodes beyond an edge count as missing, so a gap of `HOLE_SIDE` nodes along an edge is a hole even
-    if it is one node deep."""
+    A hole is covered by squares of missing nodes, `HOLE_SIDE` a side; nodes beyond an edge count as missing.
+    """
     side = np.ones((1, HOLE_SIDE, HOLE_SIDE), bool)
     holes = np.zeros_like(finite)
     for axis in (1, 2):  # one axis at a time, or a single missing node in a corner would be a hole
@@ -267,7 +261,7 @@ def outside_holes(finite: np.ndarray) -> np.ndarray:
 
 def _finite(pieces: list[object]) -> np.ndarray | None:
     """Return two packed masks (2, steps, bytes): nodes measured in all fields, and nodes outside holes.
-    `pieces` has the same part of each field. None if no value is missing."""
+    The result is None if no value is missing."""
     mask = None
     for part in pieces:  # one field at a time saves memory
         block = np.asarray(part)
@@ -280,8 +274,7 @@ def _finite(pieces: list[object]) -> np.ndarray | None:
 
 
 def _runs(valid_steps: np.ndarray) -> tuple[list[tuple[int, int]], list[int]]:
-    """Return the runs of valid steps, as (first, past the last), and the steps between joined runs.
-    Runs are joined across gaps of at most `LONGEST_BRIDGE` steps."""
+    """Return the runs of valid steps, as (first, past the last), and the missing steps inside them."""
     edges = np.flatnonzero(np.diff(np.r_[False, valid_steps, False].astype(int)))
     runs: list[tuple[int, int]] = []
     bridged: list[int] = []
@@ -370,8 +363,7 @@ class _ValidNodes:
 
 
 def _measured(cube: object, steps: int) -> np.ndarray:
-    """Return a mask of the steps that ``frame_status`` marks as measured.
-    All steps are True if the cube has no such variable."""
+    """Return a mask of the steps that ``frame_status``, where present, marks as measured."""
     if isinstance(cube, xr.Dataset) and "frame_status" in cube:
         done = FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS
         return np.isin(cube["frame_status"].values, done)
@@ -379,8 +371,7 @@ def _measured(cube: object, steps: int) -> np.ndarray:
 
 
 def _valid_steps(valid_nodes: _ValidNodes, measured: np.ndarray) -> np.ndarray:
-    """Return a mask of the measured steps with at least half as many values as the median step.
-    Raises CubeError if no step has a value."""
+    """Return a mask of the measured steps with at least half as many values as the median step."""
     ny, nx = valid_nodes.shape
     count = np.full(measured.size, ny * nx)
     for steps, there in valid_nodes:
@@ -397,8 +388,7 @@ def _rectangle(
     valid_nodes: _ValidNodes, valid_steps: np.ndarray, open_water: np.ndarray
 ) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return the largest rectangle of nodes that can be used, as ranges (first, past the last) of y and x.
-    Its nodes are in `open_water` (never masked), measured at half of the valid steps or more, and outside
-    holes at nine tenths of them. Raises CubeError if it has fewer than 8 nodes a side."""
+    Its nodes are in `open_water`, measured at half of the valid steps, and outside holes at nine tenths."""
     times = np.zeros((2, *valid_nodes.shape), int)  # number of steps measured, and outside of holes
     for steps, there in valid_nodes:
         valid = valid_steps[steps]
@@ -417,8 +407,7 @@ def _rectangle(
 
 
 def _never_masked(cube: xr.Dataset | xr.DataArray, valid_nodes: _ValidNodes) -> np.ndarray:
-    """Return (ny, nx), True for nodes that ``quality`` marks as masked at no step.
-    Without ``quality``, all are True. Masked nodes are not water, and must not be filled."""
+    """Return (ny, nx), True for nodes that are masked at no step: masked nodes are not water."""
     out = np.ones(valid_nodes.shape, bool)
     if isinstance(cube, xr.Dataset) and "quality" in cube:
         for steps, there in valid_nodes:
@@ -447,9 +436,7 @@ def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
 
 
 def filled_error(record: Record, field: xr.DataArray) -> float:
-    """Return the standard deviation of the error at filled nodes, in units of the field.
-    It is measured by `fill_error`, at some steps. It is 0 if no node was filled, and NaN if the runs are too
-    short to measure it."""
+    """Return the standard deviation of the error at filled nodes; 0 without such nodes, NaN if unknown."""
     if not record.holes:
         return 0.0
     inside = [t for a, b in record.runs for t in range(a + FILL_MARGIN, b - FILL_MARGIN)]
@@ -464,7 +451,6 @@ def filled_error(record: Record, field: xr.DataArray) -> float:
 
 
 def filled_density(record: Record, field: xr.DataArray) -> float:
-    """Return what the errors of filled nodes add to E(omega) of a field.
-    The errors are taken as white up to the Nyquist frequency. 0 if they are unknown."""
+    """Return what the errors of filled nodes, taken as white, add to E(omega) of a field; 0 if unknown."""
     share = record.holes / max(record.steps_in_runs() * record.shape[0] * record.shape[1], 1)
     return float(np.nan_to_num(share * filled_error(record, field) ** 2 * record.dt / np.pi))

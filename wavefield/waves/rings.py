@@ -32,21 +32,18 @@ class Rings:
 
 
 def wavenumbers(n: int, step: float) -> np.ndarray:
-    """Return the wavenumbers of the transform of `n` nodes, (n,), rad/m, in the order of numpy.fft.
-    `step` is the distance of the nodes, m."""
+    """Return the wavenumbers of `n` nodes `step` metres apart, (n,), rad/m, in the order of numpy.fft."""
     return 2 * np.pi * np.fft.fftfreq(n, step)
 
 
 def half_plane(ny: int, nx: int, dy: float, dx: float) -> np.ndarray:
-    """Return |k| of the cells of the half plane kx >= 0, (ny * (nx // 2 + 1),), rad/m.
-    `dy` and `dx` are the distances of the nodes, m."""
+    """Return |k| of the cells of the half plane kx >= 0, (ny * (nx // 2 + 1),), rad/m."""
     k: np.ndarray = np.hypot(wavenumbers(ny, dy)[:, None], wavenumbers(nx, dx)[: nx // 2 + 1])
     return k.ravel()
 
 
 def mirror_weights(nx: int) -> np.ndarray:
-    """Return weights of the columns kx >= 0, (nx // 2 + 1,), for sums over the full k plane.
-    They count the columns kx < 0, which mirror those of kx > 0 for a real field."""
+    """Return weights of the columns kx >= 0 for sums over the full k plane, which is symmetric."""
     weights = np.full(nx // 2 + 1, 2.0)
     weights[0] = 1
     if nx % 2 == 0:
@@ -55,8 +52,7 @@ def mirror_weights(nx: int) -> np.ndarray:
 
 
 def _hann_overlap(n: int) -> sparse.csr_array:
-    """Return the squared correlation between the lines of a Hann-windowed transform, (n, n).
-    It is that of noise with a flat spectrum."""
+    """Return the squared correlation of lines of a Hann-windowed transform of white noise, (n, n)."""
     rows = np.arange(n)
     out = sparse.eye_array(n, format="csr") * HANN_CORRELATION[0]
     for shift, value in enumerate(HANN_CORRELATION[1:], start=1):
@@ -67,9 +63,8 @@ def _hann_overlap(n: int) -> sparse.csr_array:
 
 @lru_cache(maxsize=8)
 def rings(ny: int, nx: int, dy: float, dx: float) -> Rings:
-    """Divide the k plane of a rectangle of nodes into rings as wide as its cells.
-    The corners beyond the Nyquist wavenumber are included. Every cell is split into 8 x 8 parts, and each
-    part belongs to the ring in which its centre lies. `dy` and `dx` are distances of nodes, m."""
+    """Divide the k plane of a rectangle of nodes into rings as wide as its cells, corners included.
+    Every cell is split into 8 x 8 parts, and each part belongs to the ring in which its centre lies."""
     cell_y, cell_x = 2 * np.pi / (ny * dy), 2 * np.pi / (nx * dx)
     dk = max(cell_y, cell_x)
     part = (np.arange(SUPERSAMPLING) + 0.5) / SUPERSAMPLING - 0.5

@@ -38,10 +38,9 @@ CURRENT_ERROR = 0.2  # m/s, chosen: prior standard deviation of the current abou
 
 class PlaneWaves:
     """Linear model of z, u, v and the rate of rise: free waves on a current, plus a constant per field.
-    The unknowns are the complex amplitudes of plane waves and one constant for each field, over a rectangle
-    of nodes and a window of times. An array of n unknowns holds the n real parts, then the n imaginary parts.
-    The wave vectors lie on rings of |k|, closer than the resolution of the rectangle, so that the fields need
-    not be periodic."""
+    An array of n unknowns, complex amplitudes and constants, holds the n real, then the n imaginary parts.
+    The wave vectors lie on rings of |k|, closer than the resolution, so that the fields need not be periodic.
+    """
 
     def __init__(
         self, shape: tuple[int, int], step: float, times: Array, current: Array, depth: float, gamma: float
@@ -118,18 +117,15 @@ class PlaneWaves:
         return np.asarray((flat @ self.basis.T).reshape(*each.shape[:2], *self.shape))
 
     def transposed(self, weighted: Array) -> Array:
-        """Apply the transpose of the linear map `fields` to `weighted`, (4, times, ny, nx) like its result.
-        The result has one value per unknown: first for the real parts, then for the imaginary parts. Each is
-        the inner product of `weighted` with the fields that a unit of this unknown gives."""
+        """Apply the transpose of the linear map `fields` to `weighted`, (4, times, ny, nx)."""
         sums = weighted.reshape(-1, self.basis.shape[0]) @ self.basis
         real, imaginary = np.split(sums.reshape(*weighted.shape[:2], -1), 2, axis=-1)
         out = ((real + 1j * imaginary)[..., self.vector] * self.response).sum(axis=(0, 1))
         return np.concatenate([out.real, -out.imag])
 
     def products(self, mask: Mask) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Return the sums of conj(E_k) E_l and of E_k E_l over the nodes of `mask` (ny, nx).
-        E_k is the plane wave exp(i k . x) of unknown k, or 1 for a constant. Both are (unknowns,
-        unknowns)."""
+        """Return the sums of conj(E_k) E_l and of E_k E_l over the nodes of `mask`, (unknowns, unknowns).
+        E_k is the plane wave exp(i k . x) of unknown k, or 1 for a constant."""
         real, imaginary = np.split(self.basis[mask.ravel()], 2, axis=1)
         waves = real + 1j * imaginary
         at = np.ix_(self.vector, self.vector)
@@ -138,9 +134,7 @@ class PlaneWaves:
     def normal(
         self, products: tuple[NDArray[np.complex128], ...], variance: Sequence[float] | Array
     ) -> Array:
-        """Return the normal matrix of the least-squares fit, (2 n, 2 n), for n unknowns.
-        `products` is the result of the method of that name; `variance` has the noise variance of each
-        field."""
+        """Return the normal matrix of the least-squares fit, (2 n, 2 n), for n unknowns."""
         q = self.response.reshape(FIELDS, self.times.size, -1) / np.sqrt(np.asarray(variance))[:, None, None]
         q = q.reshape(-1, self.vector.size)
         hermitian, symmetric = products[0] * (q.conj().T @ q), products[1] * (q.T @ q)
@@ -188,9 +182,8 @@ class Posterior:
         return np.asarray(self.scale[:, None] * inverse * self.scale)
 
     def solve_partial(self, waves: PlaneWaves, fields: Array, weight: Array) -> Array:
-        """Return the posterior mean of the unknowns for fields with missing nodes.
-        `weight` is 1 / noise variance, and 0 at missing nodes. The equations are solved by conjugate
-        gradients, with the fit to all nodes as the preconditioner."""
+        """Return the posterior mean for fields with missing nodes, where `weight`, 1 / noise variance, is 0.
+        Conjugate gradients solve the equations, with the fit to all nodes as the preconditioner."""
         size = self.scale.size
         matrix = LinearOperator(
             (size, size), lambda x: x / self.scale**2 + waves.transposed(weight * waves.fields(x))
@@ -213,11 +206,10 @@ class Learned:
 
 
 def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array, mean: Array) -> Learned:
-    """Estimate spectrum, noise and current from sample windows (fields, times, ny, nx).
-    The windows are 0 outside ``mask`` (ny, nx). ``variance`` (fields,) has the squared standard uncertainties
-    of the cube; ``mean`` (2,), the mean velocity, m/s, is the first estimate of the current. The spectrum is
-    estimated by expectation maximisation: in each round, the variance of a ring becomes the mean square of
-    its amplitudes plus their posterior variance. The current of `waves` is set to the result."""
+    """Estimate spectrum, noise and current from sample windows (fields, times, ny, nx), 0 outside `mask`.
+    In each round of expectation maximisation, the variance of a ring becomes the mean square of its
+    amplitudes plus their posterior variance. ``variance`` (fields,) is that stated in the cube, ``mean`` the
+    mean velocity."""
     products = waves.products(mask)
     # the noise that resembles waves is estimated on an orthogonal basis of all plane waves
     basis = waves.basis[mask.ravel()]
@@ -262,9 +254,7 @@ def _current_step(
     weight: Array,
     expected: Array,
 ) -> Array:
-    """Return a Gauss-Newton step of the current, (2,), m/s.
-    `found` has the unknowns and `rest` the residuals of each window; `weight` is 1 / noise variance.
-    `expected` is the step that leads to the prior mean of the current."""
+    """Return a Gauss-Newton step of the current, (2,), m/s."""
     normal = np.eye(2) / CURRENT_ERROR**2
     right = expected / CURRENT_ERROR**2
     for x, left in zip(found, rest):
@@ -319,9 +309,7 @@ class _Smoother:
         self._fits: dict[int, tuple[Posterior, Array]] = {}
 
     def parts(self, window: Array) -> tuple[Array, Array, Array]:
-        """Return fields, variances and mask of a window.
-        Fields z, u, v and rate of rise and their variances are (4, times, ny, nx), 0 and 1 at nodes that are
-        not measured; the mask (times, ny, nx) is True at measured nodes."""
+        """Return z, u, v, rate of rise, their variances (4, times, ny, nx), and a mask of measured nodes."""
         z, u, v, w = window[:4].astype(float)
         z_y, z_x = slopes(z, self.step, self.step)
         fields = np.stack([z, u, v, w - u * z_x - v * z_y])
@@ -334,8 +322,8 @@ class _Smoother:
 
     def study(self, windows: list[Array]) -> None:
         """Learn spectrum, noise and current from sample windows (9, times, ny, nx).
-        Only the half of the windows with most measured nodes is used, in the rectangle with most nodes that
-        are measured at all times. Raises CubeError if these are fewer than a quarter."""
+        Raises CubeError if less than a quarter of the nodes is measured throughout the better half of them.
+        """
         parts = [self.parts(window) for window in windows]
         shares = [there.mean() for _, _, there in parts]
         parts = [parts[i] for i in np.argsort(shares, kind="stable")[len(parts) // 2 :]]
@@ -391,9 +379,7 @@ class _Smoother:
         return np.where(usable, total, own).astype(np.float32)
 
     def _tile(self, number: int, fields: Array, variance: Array, there: Array, own: Array) -> Array:
-        """Return z, u, v, w and their variances, (8, ny, nx), of rectangle `number` at the middle time.
-        `there` (times, ny, nx) is True at measured nodes; `own` has the measured z, u, v, w at the middle
-        time."""
+        """Return z, u, v, w and their variances, (8, ny, nx), of rectangle `number` at the middle time."""
         waves, learned, middle = self.waves, self.learned, self.steps
         posterior, covariance = self.fit_of(number)
         mask = self.mask[self.tiles[number]]

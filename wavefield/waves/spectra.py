@@ -58,8 +58,7 @@ Array = NDArray[Any]
 
 
 def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return E(k, omega) as given, or computed from a field, and an empty dict of parameters.
-    Raises CubeError for any other argument; `name` is the name of the estimator, for the message."""
+    """Return E(k, omega) as given, or computed from a field; else raise CubeError."""
     if is_field(given):
         return komega(given), {}
     if isinstance(given, xr.Dataset) and "E" in given and {"omega", "k"} <= {*given["E"].dims}:
@@ -97,8 +96,7 @@ def _add_powers(
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
     """Convert the power on kx >= 0, (cells, n), to omega >= 0 on the whole k plane, (n // 2 + 1, ny, nx).
-    In the result, kx and ky ascend, and k points where waves go: numpy's transform has cos(k . x - omega t)
-    at (k, -omega). Values between frequency 0 and Nyquist are doubled, to account for omega < 0."""
+    There k points where waves go: numpy's transform has cos(k . x - omega t) at (k, -omega)."""
     n = power.shape[-1]
     power = power.reshape(ny, nx // 2 + 1, n)
     columns = np.arange(nx)
@@ -171,8 +169,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
 
 
 def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dataset:
-    """Return a spectrum (omega, ky, kx) as a Dataset ``E`` with coordinates and degrees of freedom.
-    `values` is the spectrum; `name` and `units` are those of the field."""
+    """Return E(omega, ky, kx) of a field with this name and these units as a Dataset with its interval."""
     low, high = interval(welch.dof)
     parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}
     out = xr.Dataset(parts, coords=omega_coords(welch.omega) | welch.plane, attrs=welch.attrs)
@@ -218,8 +215,7 @@ def _transform_and_nodes(blocks: list[Array], link: Link, memory: dict[str, Arra
 
 
 def _powers_of_nodes(first: Array, second: Array) -> Array:
-    """Return the power of a segment for omega >= 0, summed over nodes, (n // 2 + 1,).
-    `first` and `second` are its halves (pairs, steps), with two nodes in one complex number."""
+    """Return the power of a segment for omega >= 0, (n // 2 + 1,), from halves (pairs, steps)."""
     half = first.shape[1]
     transform, sums = TimeTransform(half, first.dtype), np.zeros((CELLS, 2 * half))
     for slab in slabs(first.shape[0]):
@@ -416,10 +412,8 @@ PLANE = {"omega", "ky", "kx"}
 
 
 def plane_of(field: str, segment: int | None = None) -> Convert:
-    """Return a function that converts the argument of an estimator to E(omega, ky, kx).
-    The argument is a spectrum, a result of `spectrum`, a field or a cube. From a cube, the spectrum of the
-    variable `field` is computed. The function also returns stored parameters: depth, surface tension and
-    degrees of freedom."""
+    """Return a converter, for `takes`, of a spectrum, a field or a cube to E(omega, ky, kx).
+    From a cube, the spectrum of the variable `field` is computed."""
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
         water: dict[str, Any] = (
@@ -444,22 +438,19 @@ def plane_of(field: str, segment: int | None = None) -> Convert:
 
 
 def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> xr.DataArray:
-    """Return E(omega, ky, kx) of the field `name`, z or w, from the sums of an analysis.
-    Removes the power from `sums` to free memory."""
+    """Return E(omega, ky, kx) of the field `name` from the sums of an analysis."""
     power = sums.pop(f"map {name}")  # frees memory: no other product needs it
     values = xr.Variable(("omega", "ky", "kx"), density(power, welch))
     return plane_density(values, FIELD_TEXTS[name], FIELD_UNITS[name], welch)["E"]
 
 
 def _sum_of_lines(w: xr.DataArray) -> xr.DataArray:
-    """Return the sum of E(omega, ky, kx) of w over omega, (ky, kx).
-    Products that are computed on workers take it instead of the spectrum, which is much larger."""
+    """Return the sum of E(omega, ky, kx) of w over omega, which takes much less memory on workers."""
     return w.sum("omega")
 
 
 def map_lines(welch: Welch, frequencies: Sequence[float]) -> list[int]:
-    """Return the indices of the spectral lines nearest to the given frequencies, Hz, without repetition.
-    The line at frequency 0, and frequencies from the line below Nyquist on, are left out."""
+    """Return the indices of the lines nearest to the `frequencies`, Hz, without those at 0 and at Nyquist."""
     lines = welch.omega / (2 * np.pi)
     return sorted({int(np.abs(lines - f).argmin()) for f in frequencies if f < lines[-2]} - {0})
 

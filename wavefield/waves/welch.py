@@ -36,8 +36,7 @@ def hann(n: int) -> np.ndarray:
 
 
 def hann_power(distance: np.ndarray) -> np.ndarray:
-    """Return the power that a wave contributes to a spectral line under a Hann window.
-    `distance` is that between wave and line, in lines; at distance 0 the power is 1."""
+    """Return the power that a wave contributes to a line at a `distance` in lines, relative to distance 0."""
     off = np.where(np.abs(np.abs(distance) - 1) < 1e-9, 0.0, 1 - distance**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         amplitude = np.where(off == 0, 0.5, np.sinc(distance) / off)
@@ -51,9 +50,8 @@ def segment_count(steps: int, segment: int) -> int:
 
 
 def choose_segment(steps: int) -> int:
-    """Return the default length of a segment, steps, for a run of `steps` steps.
-    It is a quarter of the run, but at most 512 steps and at least 64 (or the whole run), rounded down to an
-    even number with a fast Fourier transform."""
+    """Return the default length of a segment for a run of `steps` steps: a quarter, from 64 to 512.
+    It is rounded down to an even number with a fast Fourier transform."""
     longest = min(DEFAULT_SEGMENT, max(steps // 4, min(64, steps)))
     even = longest - longest % 2
     while even > 4 and fft.next_fast_len(even // 2, real=True) != even // 2:
@@ -62,8 +60,7 @@ def choose_segment(steps: int) -> int:
 
 
 def overlap_factor(segments: float) -> float:
-    """Return the variance of a mean over half-overlapping Hann segments, as a multiple.
-    It is relative to the variance for as many independent segments (Welch 1967)."""
+    """Return the variance of a mean over half-overlapping Hann segments, relative to independent ones."""
     return 1 + 2 * (1 - 1 / segments) / 36
 
 
@@ -73,9 +70,7 @@ def degrees_of_freedom(segments: float) -> float:
 
 
 def effective_duration(segments: float, length: float) -> float:
-    """Return the effective duration of half-overlapping segments, in the unit of `length`.
-    It is (int w)^2 / int w^2, where w is the sum of the squared windows and `length` the length of a
-    segment."""
+    """Return (int w)^2 / int w^2 of the sum w of the squared windows of half-overlapping segments."""
     return length * 18 * segments**2 / (38 * segments - 3)
 
 
@@ -96,9 +91,7 @@ def richardson_lucy(
     rounds: int,
 ) -> np.ndarray:
     """Deconvolve a spectrum: return a non-negative one that the window turns into `measured`.
-    `estimate` is the spectrum to begin with, and `rounds` the number of iterations (Richardson 1972).
-    ``through_window(estimate)`` blurs a spectrum by the window. ``corrected(estimate, ratio)`` multiplies the
-    estimate by the ratio of the measured to the blurred spectrum, averaged over the window."""
+    ``corrected(estimate, ratio)`` multiplies by a ratio averaged over the window (Richardson 1972)."""
     for _ in range(rounds):
         estimate = corrected(estimate, measured / through_window(estimate))
     return estimate
@@ -112,8 +105,7 @@ Sums = dict[str, np.ndarray]  # transforms of half a segment, or sums over segme
 
 
 def segment_length(record: Record, segment: int | None) -> int:
-    """Return the length of a segment, steps; by default that of `choose_segment`.
-    Raises CubeError if it is odd, less than 8, or longer than the longest run of the record."""
+    """Return the length of a segment, by default `choose_segment`; CubeError if it is not possible."""
     longest = record.longest
     if segment is None:
         segment = choose_segment(longest)
@@ -140,9 +132,7 @@ def _values(part: object) -> np.ndarray:
 def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
-    """Return what must be read for the steps a to b (excluded) of a run.
-    The results are slices of time, y and x that include a margin for filling gaps; a mask of the missing
-    steps among those read; and the slice of a to b within them."""
+    """Return slices to read for steps a to b of a run, the missing steps in them, and the place of a to b."""
     bridged = np.asarray(record.bridged, int)
     reach = FILL_MARGIN if record.holes or bridged.size else 0
     lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
@@ -186,8 +176,7 @@ class Reader:
 
 
 def cut_chains(record: Record, segment: int) -> list[list[Link]]:
-    """Divide the segments of a record into chains of at most `CHAIN_LENGTH` consecutive segments.
-    A chain is a list of half segments, and successive segments share a half."""
+    """Divide the segments of a record into chains of up to `CHAIN_LENGTH`, each a list of half segments."""
     half = segment // 2
     out = []
     for run in record.runs:
@@ -206,9 +195,8 @@ def sum_chain(
     links: Sequence[Link],
 ) -> Sums:
     """Read a chain half segment by half segment, and return the sums over its segments.
-    ``transform(blocks, link, memory)`` transforms the fields of a half; it may overwrite the arrays in
-    ``memory``. ``accumulate(sums, first, second, begin)`` adds the segment that consists of two halves and
-    begins at step ``begin``."""
+    ``transform(blocks, link, memory)`` may overwrite the arrays in ``memory``; ``accumulate(sums, first,
+    second, begin)`` adds the segment of two halves that begins at step ``begin``."""
     sums: Sums = {}
     previous: Sums = {}
     oldest: Sums = {}
@@ -223,9 +211,8 @@ def sum_chain(
 def sum_segments(
     arrays: Sequence[xr.DataArray], record: Record, segment: int, transform: Any, accumulate: Any
 ) -> Any:
-    """Return a Dask delayed object that computes the sums over all segments of a record.
-    `transform` and `accumulate` are those of `sum_chain`. Stored fields are read half a segment at a time,
-    and Dask arrays a chain at a time."""
+    """Return the sums of `sum_chain` over all segments of a record, as a Dask delayed object.
+    Stored fields are read half a segment at a time, and Dask arrays a chain at a time."""
 
     def work(transform: Any, parts: Sequence[xr.DataArray], first: int, links: Sequence[Link]) -> Sums:
         return sum_chain(Reader(parts, record, first=first), transform, accumulate, links)
@@ -267,8 +254,8 @@ def some_nodes(block: np.ndarray) -> np.ndarray:
 
 
 def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the Hann-windowed spatial transform of a block (steps, ny, nx), (cells, steps).
-    The cells are those of ky x (kx >= 0), flattened. The transform is written into `out` if given."""
+    """Return the Hann-windowed spatial transform (cells, steps) of a block (steps, ny, nx).
+    The cells are those of ky x (kx >= 0), flattened."""
     steps, ny, nx = block.shape
     window = spatial_window(ny, nx).astype(block.dtype)
     shape = steps, ny, nx // 2 + 1
@@ -302,8 +289,7 @@ class TimeTransform:
 
     def __call__(self, first: np.ndarray, second: np.ndarray, name: int = 0) -> np.ndarray:
         """Return the Hann-windowed transform (cells, n) of a segment, without its mean and trend.
-        `first` and `second` are its halves (cells, n / 2). The next call with the same `name`, an index,
-        overwrites the result."""
+        Its halves are (cells, n / 2). The next call with the same `name`, an index, overwrites the result."""
         cells = first.shape[0]
         halves = [part[: self.half * cells].reshape(self.half, cells) for part in self.halves]
         for part, given in zip(halves, (first, second)):
@@ -353,8 +339,7 @@ class Welch:
         segment: int | None = None,
         record: Record | None = None,
     ) -> "Welch":
-        """Return the estimator for fields over (time, y, x).
-        Without `record`, it is found from the fields; without `segment`, its default length is used."""
+        """Return the estimator for fields over (time, y, x), whose record and segment it finds by default."""
         record = find_record(fields) if record is None else record
         length = segment_length(record, segment)
         return cls(record, length, frames_of(fields), depth=water_of(fields.attrs)[0])
@@ -387,30 +372,26 @@ class Welch:
 
     @property
     def duration(self) -> float:
-        """Effective duration of the record, s.
-        It accounts for the windows, which give the ends of each run less weight."""
+        """Effective duration of the record, s: the windows give the ends of each run less weight."""
         return effective_duration(self.count, self.segment * self.record.dt)
 
     @property
     def density(self) -> float:
-        """Factor from |F|^2 to a two-sided spectrum per (rad/m)^2 and rad/s.
-        |F|^2 is the power of the windowed transform, summed over segments."""
+        """Factor from |F|^2, summed over segments, to a two-sided spectrum per (rad/m)^2 and rad/s."""
         record = self.record
         energy = window_energy(self.segment, *record.shape)
         return record.dt * record.dy * record.dx / ((2 * np.pi) ** 3 * energy * self.count)
 
     @property
     def node_density(self) -> float:
-        """Factor from the power P of all nodes to E(omega).
-        P is the one-sided power of the transforms in time, summed over segments and nodes."""
+        """Factor from the one-sided power of all nodes, summed over segments and nodes, to E(omega)."""
         ny, nx = self.record.shape
         window = float((hann(self.segment) ** 2).sum()) * self.count
         return self.record.dt / (2 * np.pi * window * (ny * nx // 2 * 2))
 
     @property
     def ring_density(self) -> float:
-        """Factor from |F|^2 to E(k, omega).
-        |F|^2 is the power of the windowed transform, summed over segments and over the cells of a ring."""
+        """Factor from |F|^2, summed over segments and the cells of a ring, to E(k, omega)."""
         ny, nx = self.record.shape
         cell = (2 * np.pi) ** 2 / (ny * self.record.dy * nx * self.record.dx)
         return self.density * cell / self.table.dk
@@ -424,9 +405,7 @@ class Welch:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Mask (omega, k), True where E(k, omega) is reliable.
-        It is False within the main lobe of the mean in omega and in k, at the Nyquist frequency, and in rings
-        that reach beyond the Nyquist wavenumbers."""
+        """Mask (omega, k), False in the main lobe of the mean, at Nyquist, and in rings that reach beyond."""
         nyquist = np.pi / max(self.record.dy, self.record.dx)
         table = self.table
         in_k = (table.k > MAIN_LOBE * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
@@ -434,18 +413,16 @@ class Welch:
 
     def over_filled(self, energy: Any, added: float) -> Any:
         """Return a mask (omega, k), True where E(k, omega) exceeds four times the error of filled nodes.
-        `energy` is E(k, omega), and `added` what this error adds to E(omega). The error is taken as white in
-        the k plane."""
+        `added` is what this error, white in the k plane, adds to E(omega)."""
         plane = 2 * np.pi * self.table.k * self.table.coverage
         white = added * plane * self.record.dy * self.record.dx / (2 * np.pi) ** 2
         return energy > MIN_OVER_FILLED * white
 
     def freedom(self, sums: Array) -> Array:
-        """Return the degrees of freedom (rings, n // 2 + 1) of E(k, omega).
-        `sums` (2, rings, n // 2 + 1) is the result of `kernels.ring_powers`. The result is nu (sum A_c E_c)^2
-        / sum A_c E_c^2 (rho^2 A)_c over the cells c of a ring, with the degrees of freedom nu of a cell, area
-        shares A, energies E and squared correlations rho^2 between cells. E_c^2 is <|F_c|^4> / 2, as for
-        Gaussian waves."""
+        """Return the degrees of freedom (rings, lines) of E(k, omega), from sums of `kernels.ring_powers`.
+        They are nu (sum A_c E_c)^2 / sum A_c E_c^2 (rho^2 A)_c over the cells c of a ring, with the degrees
+        of freedom nu of a cell, area shares A, energies E and squared correlations rho^2; E_c^2 is <|F_c|^4>
+        / 2."""
         power, square = sums[0], sums[1]
         filled = power > 0
         spread = np.divide(self.count * square, power**2, out=np.zeros_like(power), where=filled)
@@ -482,8 +459,7 @@ class Welch:
 
 
 def with_stated(given: Any) -> Any:
-    """Return a field or cube in which `path_frames` and water properties are coordinates.
-    Attributes of these names are moved to coordinates. Any other object is returned unchanged."""
+    """Return a field or cube with `path_frames` and water properties as coordinates instead of attributes."""
     if not isinstance(given, xr.DataArray | xr.Dataset):
         return given
     out = given.copy(deep=False)
@@ -499,10 +475,8 @@ def with_stated(given: Any) -> Any:
 
 
 def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
-    """Return `path_frames`, the number of frames from which each velocity was computed.
-    It is 1 for instantaneous velocities, 2 for displacements between two frames, and 4, 6 or 7 for velocities
-    along paths. It is 2 if the fields do not state it. Raises CubeError if u, v, w, z_t state different
-    ones."""
+    """Return `path_frames`: 1 for instantaneous velocities, 2 for displacements, else 4, 6 or 7 for paths.
+    It is 2 if the fields do not state it. Raises CubeError if they state different ones."""
     fields = with_stated(fields)
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
@@ -518,8 +492,7 @@ def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
 
 
 def frames_of_meaning(*stated: str) -> int:
-    """Return `path_frames` for velocities stated to be "displacement" (2) or "instantaneous" (1).
-    Raises CubeError for any other word, or for two different ones."""
+    """Return `path_frames` for "displacement" (2) or "instantaneous" (1); else raise CubeError."""
     if len(stated) > 1 or stated[0] not in MEANINGS:
         raise CubeError(
             f"the velocities are stated to be {' and '.join(stated)}: state one of {', '.join(MEANINGS)}"
@@ -528,10 +501,8 @@ def frames_of_meaning(*stated: str) -> int:
 
 
 def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
-    """Return the cube with the coordinate `path_frames` for the stated velocities, and a note.
-    `meaning` is "displacement" or "instantaneous". With None the cube keeps what it states; if it states
-    nothing, the note says that displacements are assumed. Otherwise the note is empty. Raises CubeError if
-    cube and `meaning` contradict each other."""
+    """Return the cube with the coordinate `path_frames` of the velocities that `meaning` states, and a note.
+    The note says that displacements are assumed if neither `meaning` nor the cube states them."""
     cube = with_stated(cube)
     arrays = [cube[name] for name in ("u", "v", "w") if name in cube]
     stated = "path_frames" in cube.coords or any(
@@ -553,7 +524,6 @@ def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
 
 
 def inner(lines: int) -> NDArray[np.bool_]:
-    """Return a mask (lines,) of the spectral lines of E(omega) that are reliable.
-    These lie above the main lobe of the mean and below the Nyquist frequency."""
+    """Return a mask (lines,) of the lines of E(omega) above the main lobe of the mean and below Nyquist."""
     index = np.arange(lines)
     return (index >= MAIN_LOBE) & (index < lines - 1)
