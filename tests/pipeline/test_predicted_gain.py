@@ -1,13 +1,12 @@
 import numpy as np
 
 import wavefield as wf
-import wavefield.waves as wv
 from wavefield.grid import Grid
 from wavefield.matching import Prior
 from wavefield.measurement import GridGeometry, LearnedRecord, Settings
 from wavefield.measurement.resolution import tabulated
 from wavefield.tank import Scene
-from wavefield.waves.gains import PREDICTED, label
+from wavefield.waves.gains import PREDICTED, label, read_gain
 
 
 def predicted_gain(scene, record):
@@ -23,7 +22,7 @@ def test_the_gain_is_what_the_posterior_keeps_of_a_wave():
     scene = Scene.load("demo")
     record = LearnedRecord((), flat, tuple((name, flat) for name in ("cam1", "cam2", "cam3")))
     gain = predicted_gain(scene, record)
-    assert wv.read_gain(gain) is gain
+    assert read_gain(gain) is gain
     for name in ("gain_z", "gain_u", "gain_v", "gain_w"):
         np.testing.assert_allclose(gain[name][:, 0], 1, atol=0.01)
         assert float(gain[name][:, -1].max()) < 0.05
@@ -37,6 +36,6 @@ def test_the_gain_is_what_the_posterior_keeps_of_a_wave():
 
 def test_a_cube_holds_its_gain(reference):
     cube = wf.open_cube(reference)
-    stored = wv.read_gain(cube)
+    stored = read_gain(cube)
     assert all(f"gain_{name}" in stored for name in "zuvw")
     assert float(stored.gain_z.isel(k=0).min()) > 0.9

@@ -9,6 +9,7 @@ import wavefield.waves as wv
 from wavefield.errors import CubeError, StoreError
 from wavefield.series.probes import read_probes
 from wavefield.variables import GROUPS, find, rows_of
+from wavefield.waves.probes import probe_spectra
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +167,7 @@ def test_probes_at_their_own_rate_hold_the_variance():
         {"time": t, "probe": ["a", "b"], "probe_x": ("probe", [0.0, 1.0]), "probe_y": ("probe", [0.0, 1.0])},
     )
     omega = 2 * np.pi * np.arange(129) / (256 * 0.05)
-    out = wv.probe_spectra(data, xr.DataArray(omega, {"omega": omega}, ("omega",)), (0.0, 200.0))
+    out = probe_spectra(data, xr.DataArray(omega, {"omega": omega}, ("omega",)), (0.0, 200.0))
     level = 1e-4 / (np.pi * 75)
     inside = out.isel(omega=slice(3, -1))
     assert float(inside.Ez_probes.mean()) == pytest.approx(level, rel=0.03)
@@ -198,17 +199,17 @@ def test_a_bad_cell_costs_neither_its_probe_nor_the_others(sea, probes, tmp_path
     read = probes.load().copy(deep=True)
     omega = wv.E_omega(wv.komega(sea.z, segment=64)).omega
     span = (float(sea.time[0]), float(sea.time[-1]))
-    whole = wv.probe_spectra(read, omega, span)
+    whole = probe_spectra(read, omega, span)
     read.elevation[0, 400:402] = np.nan
-    corrected = wv.probe_spectra(read, omega, span)
+    corrected = probe_spectra(read, omega, span)
     assert float(abs(corrected.Ez_probe - whole.Ez_probe).sum() / whole.Ez_probe.sum()) < 0.01
     read.elevation[0, 400:420] = np.nan
     with pytest.warns(UserWarning, match=r"is left out: 20 of its \d+ values"):
-        left = wv.probe_spectra(read, omega, span)
+        left = probe_spectra(read, omega, span)
     assert np.isnan(left.Ez_probe[0]).all()
     assert np.isfinite(left.Ez_probe[1:]).any()
     with pytest.raises(CubeError, match="every probe lacks more than 3 values in a row"):
-        wv.probe_spectra(read.isel(probe=[0]), omega, span)
+        probe_spectra(read.isel(probe=[0]), omega, span)
     paused = read.isel(time=np.r_[0:500, 520 : read.sizes["time"]])
     with pytest.raises(CubeError, match="time steps are unequal"):
-        wv.probe_spectra(paused, omega, span)
+        probe_spectra(paused, omega, span)

@@ -7,6 +7,7 @@ from waves_cases import GaussianSea, PeriodicSea, relation
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
+from wavefield.waves.record import whole_record
 
 CURRENT = (0.04, -0.02)
 
@@ -14,7 +15,7 @@ CURRENT = (0.04, -0.02)
 @pytest.fixture(scope="module")
 def spectrum():
     sea = PeriodicSea(n=160, current=CURRENT).cube(2048, 75, 100, noise_z=0.00057, noise_dz=0.00028)
-    return wv.spectrum(sea.w, segment=512, record=wv.whole_record(sea))
+    return wv.spectrum(sea.w, segment=512, record=whole_record(sea))
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def quiet():
 
 def test_short_segments_do_not_bend_the_ridge(quiet):
     # lines .08 Hz apart: each holds more of the slower ones, .7 % in k at 1.75 Hz if that is not undone
-    fit = wv.fit_dispersion(wv.spectrum(quiet, segment=256, record=wv.whole_record(quiet)).E, 0.7)
+    fit = wv.fit_dispersion(wv.spectrum(quiet, segment=256, record=whole_record(quiet)).E, 0.7)
     band = fit.ridge_error.where((fit.band_frequency > 1.5) & (fit.band_frequency < 5), drop=True)
     assert band.size == 7
     assert float(np.abs(band).max()) < 0.0035
@@ -61,7 +62,7 @@ def test_short_segments_do_not_bend_the_ridge(quiet):
 
 def test_waves_too_long_for_the_rectangle_are_left_out(quiet):
     part = quiet.isel(y=slice(0, 35), x=slice(0, 45))
-    fit = wv.fit_dispersion(wv.spectrum(part, segment=256, record=wv.whole_record(part)).E, 0.7)
+    fit = wv.fit_dispersion(wv.spectrum(part, segment=256, record=whole_record(part)).E, 0.7)
     assert float(fit.ridge_k.min()) > 2.2 * 2 * np.pi / (35 * 0.02)
     band = fit.ridge_error.where(fit.band_frequency < 5, drop=True)
     assert float(np.abs(band).max()) < 0.025  # two lines near the longest waves; .003 elsewhere

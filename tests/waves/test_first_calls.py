@@ -9,15 +9,15 @@ import wavefield as wf
 from wavefield import waves as wv
 from wavefield.errors import WavefieldError
 from wavefield.variables import find
+from wavefield.waves.spectra import total
 
 FIELD = ("E_k", "E_omega", "komega", "spectrum", "structure_functions")
-CUBE = ("coherence", "kinematics", "statistics", "cross_spectra", "fused_spectra", "plane_coherence")
+CUBE = ("coherence", "kinematics", "statistics", "fused_spectra", "plane_coherence")
 MORE = ("crest_statistics", "fit_dispersion", "directions", "phase_average", "analyze")
 STILL = (0.0, 0.0)
 ESTIMATORS = {name: getattr(wf, name, None) or getattr(wv, name) for name in FIELD + CUBE + MORE}
 ARGUMENTS = {
     "directions": {"frequency": [2.0], "current": STILL},
-    "cross_spectra": {"names": ("w",)},
     "phase_average": {"period": 0.6, "phases": 8},
 }
 
@@ -86,6 +86,6 @@ def test_every_angle_states_its_unit(inputs):
 def test_sums_of_the_spectrum_over_k_and_over_omega_hold_the_same_variance(inputs):
     energy = wf.komega(inputs["field"]).drop_vars("E_nodes")  # E(omega) of all nodes has no window
     both = wf.E_k(energy), wf.E_omega(energy)
-    variances = [float(wv.total(one.E)) for one in both]
+    variances = [float(total(one.E)) for one in both]
     assert variances[0] == pytest.approx(variances[1], rel=1e-9)
     assert all(bool((one.low < 1).all() and (one.high > 1).all()) for one in both)

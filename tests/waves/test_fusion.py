@@ -7,6 +7,7 @@ from waves_cases import PeriodicSea, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import StoreError
+from wavefield.waves.record import whole_record
 
 SIGMA_Z, SIGMA_DZ = 0.00057, 0.00028
 
@@ -19,7 +20,7 @@ def measured():
 
 @pytest.fixture(scope="module")
 def record(measured):
-    return wv.whole_record(measured)
+    return whole_record(measured)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +98,7 @@ def through_windows():
 
 def test_undone_windows_give_the_truth_to_the_shortest_waves(through_windows):
     cube, true = through_windows
-    record = wv.whole_record(cube)
+    record = whole_record(cube)
     truth = true.sum("k") * float(true.k[1] - true.k[0])
     plain = wv.fused_spectra(cube, segment=256, record=record)
     undone = wv.fused_spectra(cube, segment=256, record=record, gain=box_gain())
@@ -138,7 +139,7 @@ def test_intervals_hold_the_error_of_a_predicted_gain():
         stated = {f"gain_{n}": (("direction", "k"), np.tile(kept(k, r), (8, 1))) for n, r in ratios.items()}
         for origin, found in holds.items():
             gain = xr.Dataset(stated, {"k": k}, {"origin": origin})
-            out = wv.fused_spectra(cube, segment=128, record=wv.whole_record(cube), gain=gain)
+            out = wv.fused_spectra(cube, segment=128, record=whole_record(cube), gain=gain)
             for method in ("stereo", "w", "fusion"):
                 one = out.sel(source=method)
                 short = one.valid_Ez.values & (one.frequency.values > 3.3)
@@ -178,7 +179,7 @@ def test_what_is_not_known_is_masked(through_windows):
     cube, true = through_windows
     gain = box_gain()
     gain = gain.where(gain.k < 90)
-    undone = wv.fused_spectra(cube, segment=256, record=wv.whole_record(cube), gain=gain)
+    undone = wv.fused_spectra(cube, segment=256, record=whole_record(cube), gain=gain)
     assert bool(np.isnan(undone.Ez_komega.sel(k=slice(90, None))).all())
     assert float(undone.range_frequency.max()) < float(wv.dispersion(95, 0.7)) / (2 * np.pi)
     kept = np.isfinite(undone.Ez_komega)
@@ -241,7 +242,7 @@ def test_w_is_not_integrated_where_a_line_is_as_wide_as_its_frequency():
 def test_elevation_from_w_is_right_on_a_current():
     current = (0.2, -0.1)
     cube = PeriodicSea(n=128, current=current).cube(600, 50, 64, noise_z=SIGMA_Z, noise_dz=SIGMA_DZ)
-    record = wv.whole_record(cube)
+    record = whole_record(cube)
     out, still = (
         wv.fused_spectra(cube, segment=256, record=record, **more) for more in ({}, {"current": (0.0, 0.0)})
     )

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from independent_seas import LatticeSea
 
-import wavefield.waves as wv
 from wavefield.errors import CubeError
+from wavefield.waves.bicoherence import higher_order
 
 module = importlib.import_module("wavefield.waves.bicoherence")
 
@@ -30,7 +30,7 @@ def test_four_waves_are_found_and_trivial_pairings_are_not():
 def test_lines_beyond_the_ends_of_a_sea_do_not_seem_coupled():
     fields = [LatticeSea(side=200, shape=(400, 12, 12)).cube(seed, names=("w",)).w for seed in (1, 2)]
     for field in fields:  # without noise: beyond 3 Hz is what the window spreads
-        out = wv.higher_order(field.values.reshape(400, -1), 0.05, 100)
+        out = higher_order(field.values.reshape(400, -1), 0.05, 100)
         defined = np.isfinite(out.tricoherence)
         assert ((out.tricoherence > out.tricoherence_level).values[defined]).mean() < 0.15
 
@@ -44,7 +44,7 @@ def test_a_bound_harmonic_in_a_time_series_stands_out():
         phase = 2 * np.pi * 1.0 * t + np.interp(t, t[::100], np.cumsum(rng.standard_normal(t[::100].size)))
         wave = slow * np.cos(phase)
         series.append(wave + 0.1 * slow**2 * np.cos(2 * phase) + 0.02 * rng.standard_normal(t.size))
-    out = wv.higher_order(np.array(series).T, 0.05, 200)
+    out = higher_order(np.array(series).T, 0.05, 200)
     at = out.bicoherence.sel(omega1=2 * np.pi, omega2=2 * np.pi, method="nearest")
     level = out.bicoherence_level.sel(omega1=2 * np.pi, omega2=2 * np.pi, method="nearest")
     assert float(at) > 0.8
@@ -53,4 +53,4 @@ def test_a_bound_harmonic_in_a_time_series_stands_out():
 
 def test_one_segment_is_not_enough():
     with pytest.raises(CubeError, match="two segments"):
-        wv.higher_order(np.zeros((100, 3)), 0.05, 100)
+        higher_order(np.zeros((100, 3)), 0.05, 100)

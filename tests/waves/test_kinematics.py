@@ -5,6 +5,9 @@ import xarray as xr
 from waves_cases import axes, cube, linear_cube, random_waves, relation
 
 import wavefield.waves as wv
+from wavefield.waves.cross import cross_spectra
+from wavefield.waves.gains import elevation_from_w
+from wavefield.waves.record import whole_record
 
 
 def displaced(waves, now, dt, gx, gy, rounds=8):
@@ -59,8 +62,8 @@ def test_a_lazy_cube_gives_lazy_kinematics():
 
 def test_averaged_elevation_loses_cos_squared_and_integrated_w_gives_it_back():
     sea = linear_cube(random_waves(n=300, highest=5.0, power=2), 1026, 24, 32, dx=0.03, dtype="f8")
-    record = wv.whole_record(sea)
-    ring = wv.cross_spectra(sea, ("z", "w"), segment=256, record=record)
+    record = whole_record(sea)
+    ring = cross_spectra(sea, ("z", "w"), segment=256, record=record)
     mean = (sea.z + sea.z.shift(time=-1)).isel(time=slice(0, -1)) / 2
     averaged = wv.komega(mean.assign_attrs(units="m"), segment=256)
     E_z, E_w = (ring.E.sel(quantity=name, drop=True).sum("k") for name in ("z", "w"))
@@ -68,7 +71,7 @@ def test_averaged_elevation_loses_cos_squared_and_integrated_w_gives_it_back():
     band = (E_z.frequency > 1.3) & (E_z.frequency < 4.7)
     E_mean = E_mean.assign_coords(omega=E_z.omega)
     gain = (E_mean / E_z / np.cos(E_z.omega * 0.05 / 2) ** 2)[band]
-    back = (E_w * wv.elevation_from_w(E_w.omega, 0.05) / E_z)[band]
+    back = (E_w * elevation_from_w(E_w.omega, 0.05) / E_z)[band]
     # single lines apart: a window mixes them, and w weighs each wave by its own frequency
     for ratio, line in ((gain, 0.02), (back, 0.04)):
         assert np.abs(ratio.mean() - 1) < 0.002
@@ -102,7 +105,7 @@ def test_elevation_beside_the_mean_flow_goes_to_frame_time_on_a_current():
     made = cube({"z": z, "z_t": none, "u": none, "v": none, "w": none}, t, y, x, "f8", frame_rate=20.0)
     made = made.assign_coords(path_frames=np.uint8(4))
     exact = wv.komega(cube({"z": height(t - dt / 2, 0.0)}, t, y, x, "f8").z, segment=64).E
-    found = wv.cross_spectra(made, ("z",), segment=64).E.sel(quantity="z")
+    found = cross_spectra(made, ("z",), segment=64).E.sel(quantity="z")
     assert float(found.sum() / exact.sum()) == pytest.approx(1.0, abs=0.01)
     # left as it is, it lacks the short waves
     raw = wv.komega(made.z, segment=64).E

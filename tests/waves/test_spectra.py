@@ -8,7 +8,8 @@ from scipy import signal
 from waves_cases import axes
 
 import wavefield.waves as wv
-from wavefield.waves.cross import significance_level
+from wavefield.waves.cross import cross_spectra, significance_level
+from wavefield.waves.spectra import total
 from wavefield.waves.welch import interval
 
 
@@ -28,7 +29,7 @@ def plane_wave(k, angle, omega, steps=256, ny=48, nx=64, a=0.01, phase=0.4):
 def test_a_plane_wave_holds_half_its_amplitude_squared(k, angle, omega):
     wave = plane_wave(k, angle, omega, steps=128, ny=32, nx=40)
     for result in (wv.spectrum(wave, segment=128).E, wv.komega(wave, segment=128).E):
-        assert float(wv.total(result)) == pytest.approx(0.01**2 / 2, rel=1e-3)
+        assert float(total(result)) == pytest.approx(0.01**2 / 2, rel=1e-3)
 
 
 @settings(max_examples=5, phases=[Phase.generate])
@@ -45,7 +46,7 @@ def test_odd_sizes_keep_the_energy_and_the_direction():
     E = wv.spectrum(plane_wave(40.0, 2.0, 12.0, ny=45, nx=51), segment=128).E
     peak = E.isel(E.argmax(...))
     assert float(peak.kx) < 0 < float(peak.ky)
-    assert float(wv.total(E)) == pytest.approx(5e-5, rel=1e-3)
+    assert float(total(E)) == pytest.approx(5e-5, rel=1e-3)
 
 
 def test_white_noise_is_even_over_the_k_plane_and_its_interval_holds():
@@ -79,7 +80,7 @@ def free_sea(request):
     draws = [sea.cube(seed, ("z", "u", "v", "w")) for seed in range(8)]
     names, pairs = ("w", "nl"), (("w", "nl"),)
     draws = [draw.assign(z_t=draw.w) for draw in draws]
-    return draws, [wv.cross_spectra(draw, names, pairs) for draw in draws]
+    return draws, [cross_spectra(draw, names, pairs) for draw in draws]
 
 
 def held(energies, dof, there):
@@ -113,7 +114,7 @@ def test_coherence_without_relation_is_as_small_as_its_samples_let_expect(free_s
     hits, sizes = {"other": [], "nl": []}, {"other": [], "nl": []}
     for one, other, own in zip(draws[::2], draws[1::2], found):
         pair = xr.Dataset({"z_t": one["w"], "w": other["w"]}, attrs=one.attrs)
-        unrelated = wv.cross_spectra(pair, ("z_t", "w"), (("z_t", "w"),))
+        unrelated = cross_spectra(pair, ("z_t", "w"), (("z_t", "w"),))
         for name, ring in (("other", unrelated), ("nl", own)):
             there = ring.valid & (ring.E > 1e-3 * ring.E.max(["omega", "k"])).all("quantity")
             gamma2 = np.abs(ring.S) ** 2 / ring.E.prod("quantity")

@@ -1,29 +1,22 @@
 # The public names and where they live: read by type checkers, and by __init__.py, which imports on first use.
 from wavefield.water import dispersion, group_velocity, wavenumber
 from wavefield.waves.analysis import analyze
-from wavefield.waves.bicoherence import higher_order
 from wavefield.waves.crests import crest_statistics
-from wavefield.waves.cross import coherence, cross_spectra, plane_coherence
+from wavefield.waves.cross import coherence, plane_coherence
 from wavefield.waves.direction import directions
 from wavefield.waves.dispersion_fit import fit_dispersion
 from wavefield.waves.elevation import fused_spectra
-from wavefield.waves.gains import (
-    elevation_from_w,
-    read_gain,
-)
 from wavefield.waves.increments import structure_functions
 from wavefield.waves.inputs import cube
 from wavefield.waves.moments import statistics
-from wavefield.waves.motion import kinematics, kinematics_at
+from wavefield.waves.motion import kinematics
 from wavefield.waves.phases import phase_average
-from wavefield.waves.probes import probe_spectra
-from wavefield.waves.record import Record, find_record, whole_record
+from wavefield.waves.record import Record, find_record
 from wavefield.waves.spectra import (
     E_k,
     E_omega,
     komega,
     spectrum,
-    total,
 )
 
 __all__ = [
@@ -33,27 +26,19 @@ __all__ = [
     "analyze",
     "coherence",
     "crest_statistics",
-    "cross_spectra",
     "cube",
     "directions",
     "dispersion",
-    "elevation_from_w",
     "find_record",
     "fit_dispersion",
     "fused_spectra",
     "group_velocity",
-    "higher_order",
     "kinematics",
-    "kinematics_at",
     "komega",
     "phase_average",
     "plane_coherence",
-    "probe_spectra",
-    "read_gain",
     "spectrum",
     "statistics",
     "structure_functions",
-    "total",
     "wavenumber",
-    "whole_record",
 ]

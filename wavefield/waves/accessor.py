@@ -19,8 +19,8 @@ class WavesAccessor:
 
     Notes
     -----
-    Every method calls the function of the same name and accepts its keywords. Methods that analyse a single
-    field take its name as their first argument, as in ``cube.waves.spectrum("w")``.
+    Every method calls the function of the same name with its keywords. Methods that analyse a single field
+    take its name as their first argument.
 
     Examples
     --------

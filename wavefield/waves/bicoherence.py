@@ -116,48 +116,12 @@ def _level_of_largest(surrogates: list[np.ndarray]) -> np.ndarray:
 
 
 def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
-    """Bicoherence and tricoherence of time series at some points, with their 5 % significance levels.
-
-    Parameters
-    ----------
-    series : ndarray, (time, points)
-        Elevation or velocity at points so far apart that they are nearly independent.
-    dt : float
-        Time step, s.
-    segment : int
-        Steps of a Welch segment; shortened where it resolves more than 48 frequencies below 5 Hz.
-
-    Returns
-    -------
-    Dataset
-        Over (omega1, omega2), rad/s:
-        ``bicoherence``, ``bicoherence_level``, ``tricoherence``, ``tricoherence_level``;
-        ``bicoherence_samples``, the number of segments times the number of points used. Of many points, only
-        evenly spaced ones are used, so that this number is at most 4000.
-
-    Raises
-    ------
-    CubeError
-        If there are fewer than two segments: in a single segment, all phases appear coupled.
-
-    Notes
-    -----
-    Bicoherence is |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>) with omega3 = omega1 + omega2. Tricoherence is
-    the largest |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3 Z4|^2>) over omega3, with omega3 + omega4 = omega1 +
-    omega2. Phase-randomised surrogates exceed the levels in 5 % of cases. They keep the correlation between
-    points, which lowers the number of independent samples.
-
-    Examples
-    --------
-    A wave with a bound second harmonic, at 1 and 2 Hz, in noise.
-
-    >>> rng = np.random.default_rng(0)
-    >>> phase = 2 * np.pi * np.arange(4000) * 0.05 + np.cumsum(0.1 * rng.standard_normal(4000))
-    >>> series = np.cos(phase) + 0.2 * np.cos(2 * phase) + 0.1 * rng.standard_normal(4000)
-    >>> found = higher_order(series[:, None], 0.05, 100).sel(omega1=6.28, omega2=6.28, method="nearest")
-    >>> bool(found.bicoherence > found.bicoherence_level)
-    True
-    """
+    """Return bicoherence and tricoherence, with their 5 % significance levels, of `series` (time, points).
+    Both are Datasets over (omega1, omega2), rad/s. Bicoherence is |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>)
+    with omega3 = omega1 + omega2; tricoherence is the largest |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3
+    Z4|^2>) with omega3 + omega4 = omega1 + omega2. Phase-randomised surrogates, which keep the correlation
+    between points, exceed the levels in 5 % of cases. Raises CubeError for a single segment, in which all
+    phases appear coupled."""
     count = min(segment // 2 + 1, int(HIGHEST_HZ * segment * dt) + 1)
     if count > LINES:
         segment = max(int(segment * LINES / count) // 2 * 2, 16)

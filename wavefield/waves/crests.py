@@ -74,7 +74,7 @@ def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array
 
 
 def _moments(sums: Array) -> Array:
-    """Return significant height, skewness and excess kurtosis, (..., 3); `sums` (..., 5) are of z^0 to z^4."""
+    """Return significant height, skewness and excess kurtosis, (..., 3), from sums of powers, (..., 5)."""
     mean, m2, m3, m4 = (sums[..., p] / sums[..., 0] for p in (1, 2, 3, 4))
     variance = m2 - mean**2
     third = m3 - 3 * mean * m2 + 2 * mean**3
@@ -93,15 +93,13 @@ def tayfun(level: Array, skewness: float) -> Array:
 
 
 @takes(a_cube)
-def crest_statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
+def crest_statistics(cube: xr.Dataset) -> xr.Dataset:
     """Distributions of crest and trough heights; Hs, skewness and kurtosis with standard uncertainties.
 
     Parameters
     ----------
     cube : Dataset
         With z over (time, y, x), m. A cube on disk is read in pieces.
-    record : Record, optional
-        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
 
     Returns
     -------
@@ -121,8 +119,8 @@ def crest_statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Da
     Notes
     -----
     Elevations are taken at points 8 cm apart and refer to each point's mean in time. The uncertainties are
-    from a bootstrap with 500 draws over blocks of ten mean periods. A block contains all points, so
-    neighbouring points do not count as independent. Tayfun: J. Geophys. Res. 85 (1980) 1548.
+    from a bootstrap over blocks of ten mean periods that contain all points. Tayfun: J. Geophys. Res. 85
+    (1980) 1548.
 
     Examples
     --------
@@ -141,7 +139,7 @@ def crest_statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Da
     0.8 s
     """
     field = validate(cube, "z")["z"]
-    record = find_record(field) if record is None else record
+    record = find_record(field)
     runs = _series(field, record)
     mean = np.concatenate(runs).mean(axis=0)
     runs = [run - mean for run in runs]

@@ -258,51 +258,11 @@ def cross_spectra(
     segment: int | None = None,
     record: Record | None = None,
 ) -> xr.Dataset:
-    """Power and cross spectra of several quantities of a cube, integrated over the direction of k.
-
-    Parameters
-    ----------
-    cube : Dataset
-        Fields over (time, y, x), m and m/s. A cube on disk is read once, in pieces.
-    names : sequence of str
-        Some of the quantities z (at the times of the frames), z_t, u, v, w, nl and rise. nl is
-        (u - U) . grad z, and rise is z_t + U . grad z, with the mean U of u, v over the record.
-    pairs : sequence of (str, str)
-        Pairs of quantities whose cross spectrum is computed.
-    segment : int, optional
-        Steps of a Welch segment; by default chosen from the record.
-    record : Record, optional
-        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
-
-    Returns
-    -------
-    Dataset
-        The spectrum ``E`` (quantity, omega, k), in the quantity's units squared per rad/m and rad/s, and its
-        degrees of freedom ``dof``; ``dof_omega`` and ``dof_k``, the degrees of freedom of E(omega) and E(k).
-        For each pair, named "a*b", the cross spectrum ``S`` = <conj(a) b> (pair, omega, k), the number of
-        independent ``samples`` in S, and the number ``samples_k`` in the integral of S over omega. Over k:
-        ``coverage``, the fraction of each ring of |k| that the grid samples, and ``cells``, the number of
-        independent cells in the ring. ``valid`` (omega, k) is true at frequencies and wavenumbers that
-        segments and grid resolve.
-
-    Raises
-    ------
-    CubeError
-        If a field is missing, the record is shorter than a segment or no rectangle is fully measured.
-
-    Notes
-    -----
-    The phase of S refers to waves exp(i (k . x - omega t)) with omega > 0, averaged over all directions.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(0)
-    >>> axes = {"time": np.arange(128) * 0.05, "y": np.arange(20) * 0.05, "x": np.arange(24) * 0.05}
-    >>> fields = {n: (tuple(axes), rng.standard_normal((128, 20, 24)), {"units": "m s-1"}) for n in "uw"}
-    >>> found = cross_spectra(xr.Dataset(fields, axes), ("u", "w"), [("u", "w")], segment=64)
-    >>> found.E.dims, found.S.pair.values.tolist()
-    (('quantity', 'omega', 'k'), ['u*w'])
-    """
+    """Return power and cross spectra of some of the quantities z, z_t, u, v, w, nl and rise of a cube.
+    nl is (u - U) . grad z and rise is z_t + U . grad z, with the mean U of u, v. The spectra E (quantity,
+    omega, k) and S = <conj(a) b> (pair, omega, k), of `pairs` named "a*b", are integrated over the direction
+    of k. The phase of S refers to waves exp(i (k . x - omega t)) with omega > 0. ``dof`` and ``samples`` are
+    the degrees of freedom of E and the number of independent samples in S."""
     cube = checked_fields(cube, names)
     welch = Welch.of(cube, segment, record)
     # the current decides how long waves stay in the window, and so the degrees of freedom
@@ -423,7 +383,7 @@ def coherence_group(ring: xr.Dataset) -> xr.Dataset:
 
 
 @takes(a_cube)
-def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | None = None) -> xr.Dataset:
+def coherence(cube: xr.Dataset, *, segment: int | None = None) -> xr.Dataset:
     """Coherence of z_t with w, with -u . grad z and with their sum, over k and over (k, omega).
 
     Parameters
@@ -432,8 +392,6 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
         z, z_t, u, v, w over (time, y, x), m and m/s. A cube on disk is read once, in pieces.
     segment : int, optional
         Steps of a Welch segment; by default chosen from the record.
-    record : Record, optional
-        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
 
     Returns
     -------
@@ -452,14 +410,12 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
 
     Notes
     -----
-    All terms refer to a frame that moves with U, the mean of u, v over the record: z_t stands for
-    z_t + U . grad z, and u for u - U, because U . grad z is linear in the waves.
+    All terms refer to a frame that moves with U, the mean of u, v over the record: z_t stands for z_t + U .
+    grad z, and u for u - U.
 
     C = <conj(z_t) a> / sqrt(<|z_t|^2> <|w - u . grad z|^2>) for a term a, with <> the mean over segments and
-    directions and, for C(k), the sum over omega >= 0. The norm is the same for all terms, so C of w and C of
-    nl add up to that of tot, and |C| of w may exceed 1. The mean over both signs of omega is the real part of
-    C. gamma2 is the squared coherence with each term's own norm; its mean is 1 / samples for unrelated
-    signals.
+    directions and, for C(k), the sum over omega >= 0. C of w and of nl add up to that of tot, and |C| of w
+    may exceed 1. gamma2 has each term's own norm; its mean is 1 / samples for unrelated signals.
 
     Examples
     --------
@@ -478,7 +434,7 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None, record: Record | 
     >>> print(f"{float(w.gamma2.min()):.2f}, {float(abs(w.C).max()):.2f}, {float(abs(nl.C).max()):.2f}")
     1.00, 1.01, 0.01
     """
-    ring = cross_spectra(cube, COHERENCE_NAMES, COHERENCE_PAIRS, segment=segment, record=record)
+    ring = cross_spectra(cube, COHERENCE_NAMES, COHERENCE_PAIRS, segment=segment)
     return coherence_group(ring)
 
 
@@ -486,15 +442,13 @@ register(WaveProduct("coherence", ("ring",), coherence_group, group="coherence",
 
 
 @takes(a_cube)
-def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
+def plane_coherence(cube: xr.Dataset) -> xr.Dataset:
     """Coherence of z_t with w, -u . grad z and their sum at each wave vector, and its mean over direction.
 
     Parameters
     ----------
     cube : Dataset
         z, z_t, u, v, w over (time, y, x), m and m/s. A cube on disk is read once, in pieces.
-    record : Record, optional
-        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
 
     Returns
     -------
@@ -510,13 +464,12 @@ def plane_coherence(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dat
 
     Notes
     -----
-    |<conj(z_t) a>| / sqrt(<|z_t|^2> <|w - u . grad z|^2>) for a term a, as Aubourg et al. define it. <> is
-    the covariance over time of spatial transforms with a Hann window. N independent samples of unrelated
-    signals give about 0.9 / sqrt(N), not 0. `coherence` averages over directions before it takes the ratio,
-    so it does not have this bias.
+    |<conj(z_t) a>| / sqrt(<|z_t|^2> <|w - u . grad z|^2>) for a term a, with the covariance <> over time of
+    spatial transforms, as in Aubourg et al. N independent samples of unrelated signals give about 0.9 /
+    sqrt(N). `coherence` averages over directions before it takes the ratio, and does not have this bias.
     """
     cube = checked_fields(cube, COHERENCE_NAMES)
-    welch = with_mean_current(cube, Welch.of(cube, None, record))
+    welch = with_mean_current(cube, Welch.of(cube))
     record, fields = welch.record, sources(COHERENCE_NAMES)
     read = Reader([cube[field] for field in fields], record)
     sums: dict[str, Array] = {}

@@ -211,16 +211,12 @@ def directions(
     Notes
     -----
     The spectrum is first shifted to the frame of the water, E(k, omega + k . U). Cells near the dispersion
-    relation are divided between sectors by area. The energy of a sector is divided by the fraction of it that
-    the k plane samples, so that the shape of the rectangle does not appear as a direction.
+    relation are divided between sectors by area, and the energy of a sector by the fraction of it that the k
+    plane samples, so that the shape of the rectangle does not appear as a direction.
 
-    The spread is sqrt(2 (1 - r1)) less the resolution in quadrature: a Hann window of length L blurs k by
-    (2 pi / L) / sqrt(3); cells and sectors blur it by their width over sqrt(12). D, the harmonics and
-    ``efth`` are not corrected for this blur.
-
-    The degrees of freedom account for the correlation of cells and lines by the windows, for the thin ridge
-    that waves occupy, for waves that stay in the rectangle for several segments, and for the uncertainty of
-    the total by which D is normalised.
+    The spread is sqrt(2 (1 - r1)) less the resolution in quadrature: a Hann window of length L blurs k by (2
+    pi / L) / sqrt(3); cells and sectors blur it by their width over sqrt(12). D, the harmonics and ``efth``
+    are not corrected for this blur.
 
     Examples
     --------

@@ -114,15 +114,13 @@ def fit_dispersion(
     Parameters
     ----------
     density : DataArray or Dataset
-        Spectrum E(omega, ky, kx), best of w; or a result of `spectrum`; or a field over (time, y, x); or a
-        cube. The spectrum of a field, or of w of a cube, is computed first. To restrict the fit to a band,
-        give ``E.sel(omega=slice(lowest, highest))``. Waves longer than two fifths of the shorter side of the
-        rectangle are never used.
+        Spectrum E(omega, ky, kx), best of w; or a result of `spectrum`; or a field over (time, y, x) or a
+        cube, whose spectrum (of w) is computed first. To restrict the fit to a band, give
+        ``E.sel(omega=slice(lowest, highest))``.
     depth : float
-        Depth of the water, m; by default that of the cube, or deep. It is not fitted, because waves this
-        short do not determine it.
+        Depth of the water, m; by default that of the cube, or deep. Waves this short do not determine it.
     gamma : float
-        Surface tension over density, m3/s2; by default that of the cube, or of clean water. It is not fitted.
+        Surface tension over density, m3/s2; by default that of the cube, or of clean water.
 
     Returns
     -------
@@ -137,25 +135,21 @@ def fit_dispersion(
     Raises
     ------
     CubeError
-        If there are too few points, they are not on the dispersion relation of any current, the energy near
-        the relation hardly exceeds that of the same wave vectors at other frequencies, or the standard
-        uncertainty of the current exceeds 12 mm/s.
+        If there are too few points, they are not on the dispersion relation of any current, the energy
+        near the relation hardly exceeds that at other frequencies, or the standard uncertainty of the
+        current exceeds 12 mm/s.
 
     Notes
     -----
     The relation is omega = sqrt((g k + gamma k^3) tanh k h) + k . U. The fit starts from the current U whose
     relation contains most energy. Points are centroids in k of the energy above the noise, at each frequency
-    and in 24 sectors of direction, in a window around the fitted relation. (Centroids in omega at fixed k
-    would be biased by up to 8 %.) Points with a signal-to-noise ratio below 1 are left out. The others are
-    weighted by their inverse variance, which includes leakage from stronger sectors.
+    and in 24 sectors of direction, weighted by their inverse variance. Hann windows displace the centroids;
+    this displacement is simulated with free waves of the measured energy on the fitted relation, and
+    subtracted, until the current changes by less than 0.3 mm/s.
 
-    Hann windows displace the centroids, by leakage and by the curvature of the relation. This displacement is
-    simulated with free waves of the measured energy on the fitted relation, and subtracted. The fit is
-    repeated until the current changes by less than 0.3 mm/s.
-
-    The uncertainty is that of least squares, from the misfits of the points, increased if the contrast of the
-    relation is low. The changes of the current with 30 % of the displacement left, with 10 % more surface
-    tension, and in the last round are added in quadrature.
+    The uncertainty is that of least squares, from the misfits of the points. The changes of the current with
+    30 % of the displacement left, with 10 % more surface tension, and in the last round are added in
+    quadrature.
 
     Examples
     --------

@@ -437,17 +437,15 @@ def fused_spectra(
 
     Notes
     -----
-    S_zz and S_ww are the elevation spectra from z and w, and S_zw is their cross spectrum. The noises are
-    N_z = S_zz - Re S_zw and N_w = S_ww - Re S_zw, if they are independent. They are fitted in each ring of k
-    as white noise of z and of the displacement. Fusion weights z and w by their inverse noise in every cell
-    (omega, k). With gains H, the elevation spectrum is S_zw / (H_z H_w) and the noises are N / H^2, so short
-    waves come from the field that resolves them. H of a ring is averaged over directions, weighted by the
-    energy of w. A predicted gain is S / (S + N); weights and intervals assume that S / N is uncertain by a
-    factor of 1.5.
+    With the elevation spectra S_zz from z and S_ww from w and their cross spectrum S_zw, the noises are N_z =
+    S_zz - Re S_zw and N_w = S_ww - Re S_zw, if they are independent. They are fitted in each ring of k as
+    white noise of z and of the displacement. Fusion weights z and w by their inverse noise in every cell
+    (omega, k). With gains H, averaged over the directions of the waves, the elevation spectrum is S_zw / (H_z
+    H_w) and the noises are N / H^2. A predicted gain is S / (S + N), with S / N uncertain by a factor of 1.5.
 
-    On a current U, w is integrated at omega - k . U in each cell. Within the five lowest lines the factor of
-    integration varies too much, so they are not valid for methods that use w. Lines of which most energy is
-    leakage from stronger lines are not valid either.
+    On a current U, w is integrated at omega - k . U in each cell. The five lowest lines are not valid for
+    methods that use w, because the factor of integration varies too much in them; lines of which most energy
+    is leakage are not valid for any.
 
     Examples
     --------

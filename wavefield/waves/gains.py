@@ -62,36 +62,9 @@ def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
 
 
 def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
-    """Return the factor that converts the power spectrum of w to the power spectrum of the elevation.
-
-    Parameters
-    ----------
-    omega : array_like
-        Angular frequency, rad/s.
-    dt : float
-        Time between frames, s.
-    frames : int
-        Number of frames per velocity, ``path_frames`` of a cube: 2 for displacements, 4, 6 or 7 for paths, 1
-        for instantaneous velocities.
-
-    Returns
-    -------
-    array_like
-        Factor, s2; infinite at omega = 0.
-
-    Notes
-    -----
-    The factor is (dt / 2)^2 / (p sin b)^2, with b = omega dt / 2 and the gain p of the path (`path_factor`).
-    For a displacement between two frames, p = 1: w dt is the difference of two elevations, whose gain is
-    2 i sin b, and a factor 1 / omega^2 would be wrong by sinc^2 b. It is right for instantaneous velocities.
-
-    Examples
-    --------
-    At 5 Hz and 20 frames/s, displacements need a larger factor than instantaneous velocities.
-
-    >>> omega = 2 * np.pi * 5
-    >>> print(f"{elevation_from_w(omega, 0.05, 2):.2e} {elevation_from_w(omega, 0.05, 1):.2e}")
-    1.25e-03 1.01e-03
+    """Return the factor, s2, that converts the power spectrum of w to that of the elevation.
+    It is (dt / 2)^2 / (p sin b)^2, with b = omega dt / 2 and the gain p of `path_factor`: w dt is the
+    difference of two elevations, whose gain is 2 i sin b, so a factor 1 / omega^2 would be wrong by sinc^2 b.
     """
     with np.errstate(divide="ignore"):
         path: Any = path_factor(omega, dt, frames)
@@ -113,29 +86,7 @@ def label(gains: dict[str, Array], k: Array, origin: str) -> xr.Dataset:
 
 
 def read_gain(source: str | Path | xr.Dataset) -> xr.Dataset:
-    """Read a gain that was saved with ``to_zarr``.
-
-    Parameters
-    ----------
-    source : path or Dataset
-        The store, or the gain itself.
-
-    Returns
-    -------
-    Dataset
-        Amplitude gains ``gain_z``, ``gain_w`` and, where present, ``gain_u``, ``gain_v`` (direction, k).
-
-    Raises
-    ------
-    StoreError
-        If the store cannot be read, or the gain of z or w is missing.
-
-    Examples
-    --------
-    >>> gain = label({name: np.ones((DIRECTIONS, 3)) for name in "zw"}, np.arange(3.0), "measured")
-    >>> sorted(map(str, read_gain(gain)))
-    ['gain_w', 'gain_z']
-    """
+    """Return a gain, or read it from the store `source`; StoreError if the gain of z or w is missing."""
     if isinstance(source, xr.Dataset):
         gain = source
     else:

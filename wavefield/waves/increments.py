@@ -53,12 +53,7 @@ def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[
 
 
 @takes(a_field)
-def structure_functions(
-    field: xr.DataArray,
-    *,
-    differences: int = 1,
-    record: Record | None = None,
-) -> xr.Dataset:
+def structure_functions(field: xr.DataArray, *, differences: int = 1) -> xr.Dataset:
     """Structure functions of a field and flatness of its increments, in time and along x and y.
 
     Parameters
@@ -66,10 +61,8 @@ def structure_functions(
     field : DataArray, (time, y, x)
         Any variable of a cube; time in s, x and y in m. A field on disk is read in pieces.
     differences : int
-        1 for increments f(s + r) - f(s); 2 for f(s + r) - 2 f(s) + f(s - r). Use 2 for spectra steeper than
-        the power -3, where the slope of the longest waves dominates first differences.
-    record : Record, optional
-        Rectangle of nodes and uninterrupted runs of steps; by default found from the field.
+        1 for increments f(s + r) - f(s); 2 for f(s + r) - 2 f(s) + f(s - r). Use 2 for spectra steeper
+        than the power -3, where the slope of the longest waves dominates first differences.
 
     Returns
     -------
@@ -88,13 +81,10 @@ def structure_functions(
     Notes
     -----
     Lags reach a sixteenth of the record, at most 10 s, and a third of the rectangle. Increments in time are
-    taken at points 8 cm apart, those in space at steps 0.2 s apart along complete rows and columns. The
-    uncertainties are from a bootstrap with 500 draws over blocks of time.
-
-    A Gaussian field has flatness 3 at every lag, and S_p proportional to S_2^(p/2). Intermittency is a
-    flatness that rises significantly above 3 towards short lags (Falcon, Fauve and Laroche, Phys. Rev. Lett.
-    98 (2007) 154501, for second differences of wave heights). Bound waves raise the flatness, too. The noise
-    of single nodes is Gaussian and dominates the shortest lags: look at S_2 first.
+    taken at points 8 cm apart, those in space at steps 0.2 s apart. The uncertainties are from a bootstrap
+    over blocks of time. A Gaussian field has flatness 3 at every lag; intermittency is a flatness that rises
+    above 3 towards short lags (Falcon, Fauve and Laroche, Phys. Rev. Lett. 98 (2007) 154501). The noise of
+    single nodes is Gaussian and dominates the shortest lags.
 
     Examples
     --------
@@ -107,7 +97,7 @@ def structure_functions(
     """
     if differences not in (1, 2):
         raise CubeError(f"differences is {differences}: choose 1 or 2")
-    record = find_record(field) if record is None else record
+    record = find_record(field)
     steps = sum(b - a for a, b in record.runs)
     spans = [max(int(min(steps / 16, 10 / record.dt)), 1), *(max(n // 3, 1) for n in record.shape)]
     chosen = [lags(span) for span in spans]

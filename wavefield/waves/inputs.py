@@ -152,9 +152,9 @@ def cube(
 
     Notes
     -----
-    A displacement over dt contains the fraction sin(b) / b of a wave's velocity, with b = omega dt / 2: at
-    5 Hz and 20 frames/s the energy is 18 % too low. The elevation spectra correct this for displacements, and
-    not for instantaneous velocities. z_t is the derivative of an interpolating spline of degree seven.
+    A displacement over dt contains the fraction sin(b) / b of a wave's velocity, with b = omega dt / 2. The
+    elevation spectra correct this for displacements. z_t is the derivative of an interpolating spline of
+    degree seven.
 
     Examples
     --------

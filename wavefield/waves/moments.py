@@ -50,18 +50,7 @@ MIN_PERIODS = (
 
 
 def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
-    """Drop spectral peak, steepness and wave height, with a note, if the record is too short for them.
-
-    `seconds` is the duration of the record; ten periods of the spectral peak are needed.
-
-    Examples
-    --------
-    >>> peak = xr.Dataset({"peak_frequency": 1.3, "peak_k": 6.8, "steepness": 0.1})
-    >>> without_short_peak(peak, 1.15).notes[0]
-    'No spectral peak, steepness or wave height: the record holds 1.5 peak periods; 10 are needed.'
-    >>> "steepness" in without_short_peak(peak, 60.0).value
-    True
-    """
+    """Drop spectral peak, steepness and wave height, with a note, if the record has less than ten periods."""
     periods = seconds * float(statistics["peak_frequency"])
     if periods >= MIN_PERIODS:
         return Noted(statistics, [])
@@ -233,15 +222,13 @@ def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
 
 
 @takes(a_cube)
-def statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
+def statistics(cube: xr.Dataset) -> xr.Dataset:
     """Distributions and moments of the elevation and of the displacements over one time step.
 
     Parameters
     ----------
     cube : Dataset
         z and, where present, u, v, w over (time, y, x), m and m/s.
-    record : Record, optional
-        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
 
     Returns
     -------
@@ -262,8 +249,7 @@ def statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
     Notes
     -----
     The significant height is four standard deviations of z. Slopes are central differences of sixth order,
-    whose gain is 0.99 for waves of six nodes and 0.74 for three. The uncertainties follow from the degrees of
-    freedom of E(omega) of the elevation and the correlation of its lines.
+    whose gain is 0.99 for waves of six nodes and 0.74 for three.
 
     Examples
     --------
@@ -277,7 +263,7 @@ def statistics(cube: xr.Dataset, *, record: Record | None = None) -> xr.Dataset:
         raise CubeError("the cube has no 'z': statistics of the surface need it")
     names = [field for field in QUANTITIES.values() if field in cube]
     cube = validate(cube, *names)
-    record = find_record(cube) if record is None else record
+    record = find_record(cube)
     scales = rough_scales(cube, record, names)
 
     sums: dict[str, Array] = {}

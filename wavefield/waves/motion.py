@@ -75,9 +75,8 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
     -----
     The kinematic boundary condition is z_t = w - u . grad z. U . grad z is linear in the waves: it is part of
     the rate of rise in a frame that moves with the water. Derivatives are central differences of sixth order,
-    of lower order in the three rows at each edge. Vorticity and divergence are v_x - u_y and u_x + v_y of the
-    velocity at the surface as a function of (x, y). With displacements over one step at 20 frames/s instead
-    of velocities at mid-time, the residual is 17 % of the nonlinear term for waves of 1 to 5 Hz.
+    of lower order near the edges. Vorticity and divergence are v_x - u_y and u_x + v_y of the velocity at the
+    surface as a function of (x, y).
 
     Examples
     --------
@@ -135,18 +134,7 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
 
 
 def kinematics_at(snapshot: xr.Dataset) -> xr.Dataset:
-    """Nonlinear term and residual at one step, as `kinematics` returns them for zero current.
-
-    Parameters
-    ----------
-    snapshot : Dataset, (y, x)
-        One step of a cube with z (m) and z_t, u, v, w (m s-1).
-
-    Returns
-    -------
-    Dataset
-        ``nonlinear`` = u . grad z and ``residual`` = z_t - w + u . grad z, m s-1.
-    """
+    """Return ``nonlinear`` and ``residual`` of `kinematics`, for zero current, at one step (y, x)."""
     fields = {name: snapshot[name].values for name in FIELDS}
     dy, dx = (float(np.mean(np.diff(snapshot[axis].values))) for axis in ("y", "x"))
     out = terms(fields, dy, dx)

@@ -19,13 +19,7 @@ HARMONICS = 3  # of Stokes waves, the third has 3/8 (k a)^2 of the first: 3 % at
 
 
 @takes(a_cube)
-def phase_average(
-    cube: xr.Dataset,
-    period: float,
-    *,
-    phases: int = 24,
-    record: Record | None = None,
-) -> xr.Dataset:
+def phase_average(cube: xr.Dataset, period: float, *, phases: int = 24) -> xr.Dataset:
     """Average a cube over the phase of waves of known period.
 
     Parameters
@@ -36,8 +30,6 @@ def phase_average(
         Period of the waves, s. Phase 0 is at time 0 of the cube.
     phases : int
         Number of phases per period.
-    record : Record, optional
-        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
 
     Returns
     -------
@@ -56,10 +48,9 @@ def phase_average(
 
     Notes
     -----
-    Each step contributes to the two nearest phases, with linear weights. Phases a distance d apart therefore
-    contain the fraction (sin(n d / 2) / (n d / 2))^2 of harmonic n. ``harmonic_amplitude`` is fitted to all
-    steps and is not reduced. The uncertainty assumes that the non-repeating parts of steps are
-    independent.
+    Each step contributes to the two nearest phases, with linear weights, which reduces harmonics;
+    ``harmonic_amplitude`` is fitted to all steps and is not reduced. The uncertainty assumes that the
+    non-repeating parts of steps are independent.
 
     Examples
     --------
@@ -80,7 +71,7 @@ def phase_average(
     if "z" not in names:
         raise CubeError("the cube has no 'z': phase averages need it")
     fields = validate(cube, *names)
-    record = find_record(fields) if record is None else record
+    record = find_record(fields)
     steps = np.concatenate([np.arange(a, b) for a, b in record.runs])
     time = fields["time"].values.astype(float)[steps]
     periods = time.size * record.dt / period if period > 0 else 0.0

@@ -73,20 +73,8 @@ class ProbeFit:
 
 def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
     """Compare every probe inside the field with the elevation z (time, y, x) at its place.
-
-    Parameters
-    ----------
-    z : DataArray, (time, y, x)
-        Elevation of a cube, m.
-    probes : Dataset
-        As `wavefield.read_probes` returns it.
-
-    Returns
-    -------
-    list of ProbeFit
-        One for each probe in the field with at least 40 samples. The best lag is the one of the largest
-        correlation, positive or negative, among lags at which half of the record overlaps or more.
-    """
+    The best lag is that of the largest correlation, positive or negative, among lags at which half of the
+    record overlaps. Probes with fewer than 40 samples are left out."""
     time = z["time"].values.astype(float)
     if time.size < MIN_SAMPLES:
         return []
@@ -159,48 +147,10 @@ LONGEST_GAP = 3  # chosen: samples of a dropout of the logger that are interpola
 
 
 def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, float]) -> xr.Dataset:
-    """Elevation spectra of probes during a record, at the frequencies of its spectra.
-
-    Parameters
-    ----------
-    probes : Dataset
-        As `wavefield.read_probes` returns it, at any sampling rate.
-    omega : DataArray, (omega,)
-        Frequencies of the spectra of the cube, rad/s. Their step sets the duration of Welch segments.
-    span : tuple of float
-        First and last time of the record, s.
-
-    Returns
-    -------
-    Dataset
-        ``Ez_probe`` (probe, omega), the spectrum of each probe, and ``Ez_probes`` (omega), their mean, in
-        m2 s rad-1; ``dof_probes``, the degrees of freedom of the mean; ``valid_probes`` (omega). The
-        mean times ``low_probes`` and times ``high_probes`` gives the limits of its 95 % interval.
-
-    Raises
-    ------
-    CubeError
-        If probes and record overlap in less than one segment, time steps of the probes are unequal, or
-        every probe has more than three missing values in a row.
-
-    Notes
-    -----
-    Welch's method with Hann windows and linear detrending. The mean has the degrees of freedom of one probe,
-    because neighbouring probes measure the same waves. Incomplete probes are left out with a warning.
-
-    Examples
-    --------
-    A probe that records a wave of 1 cm amplitude at 100 Hz.
-
-    >>> t, omega = np.arange(2000) * 0.01, np.arange(65) * 2 * np.pi / 6.4
-    >>> z = 0.01 * np.cos(omega[8] * t)
-    >>> probes = xr.Dataset(
-    ...     {"elevation": (("probe", "time"), z[None])},
-    ...     {"probe": ["A"], "time": t, "probe_x": ("probe", [0.0]), "probe_y": ("probe", [0.0])},
-    ... )
-    >>> Ez = probe_spectra(probes, xr.DataArray(omega, dims="omega"), (0.0, 19.99)).Ez_probes
-    >>> print(f"{float(Ez.sum() * omega[1] / (0.01**2 / 2)):.2f}")
-    1.00
+    """Return elevation spectra of probes in the time `span` of a record, at the frequencies `omega`.
+    `omega` sets the duration of Welch segments. The mean of the probes has the degrees of freedom of one,
+    because neighbouring probes measure the same waves. Incomplete probes are left out with a warning. Raises
+    CubeError if probes and record overlap in less than a segment, steps are unequal, or no probe is complete.
     """
     target = omega.values
     duration = 2 * np.pi / float(omega[1] - omega[0])

@@ -418,18 +418,7 @@ def _never_masked(cube: xr.Dataset | xr.DataArray, valid_nodes: _ValidNodes) -> 
 
 
 def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
-    """Record of an array without missing values, made without reading them.
-
-    Parameters
-    ----------
-    array : xarray.DataArray or xarray.Dataset
-        Variables over (time, y, x).
-
-    Returns
-    -------
-    Record
-        All nodes and steps.
-    """
+    """Return the record of all nodes and steps of an array without missing values, without reading it."""
     dt, dy, dx = check_axes(array)
     steps, ny, nx = (array.sizes[name] for name in CUBE_DIMS)
     return Record((0, ny), (0, nx), ((0, steps),), (), steps, 0, dt, dy, dx)

@@ -448,21 +448,18 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
 
     Notes
     -----
-    A window contains the steps within 0.1 s, at least two on either side. The model of its fields is a sum of
-    free waves of all directions with amplitudes a,
+    The model of the fields in a window of 0.1 s on either side is a sum of free waves of all directions,
 
         z = sum a e, u = sum (k / |k|) (sigma / tanh |k| h) a e, w - u . grad z = sum -i omega a e,
 
     with e = exp(i (k . x - omega t)), omega = sigma + k . U, and sigma by the dispersion relation, plus a
-    constant for each field. The amplitudes are the posterior means for the noise and the spectrum of the
-    record. The spectrum over rings of |k|, the noise and the current U are estimated from sample windows.
-    Large grids are fitted in overlapping rectangles of at most 60 nodes a side. Waves shorter than 4.4 nodes
-    are not fitted.
+    constant for each field. The amplitudes a are the posterior means for the noise and the spectrum of the
+    record, which are estimated from sample windows. Waves shorter than 4.4 nodes are not fitted. Large grids
+    are fitted in overlapping rectangles.
 
-    If the mean square of the residual, over the window and within 3 nodes, exceeds the noise by a factor
-    1 + q, the fraction q / (1 + q) of the residual is added to the fit. Motion that is not free waves (steep
-    waves, eddies) therefore stays as measured, with its standard uncertainty. The variance of the result
-    includes 12 % of the noise variance, for errors that all steps have in common and that resemble waves.
+    If the mean square of the residual exceeds the noise by a factor 1 + q, the fraction q / (1 + q) of the
+    residual is added to the fit. Motion that is not free waves (steep waves, eddies) therefore stays as
+    measured, with its standard uncertainty.
 
     Examples
     --------

@@ -144,8 +144,8 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     Notes
     -----
     E = dt dy dx / ((2 pi)^3 sum W^2) <|FFT(W f)|^2>, with the Hann window W in time, y and x, the mean <>
-    over segments that overlap by half, and a factor 2 for 0 < omega < Nyquist. The sum of E domega dkx dky
-    is the weighted variance <W^2 f^2> / <W^2>. The mean and trend in time are removed.
+    over segments that overlap by half, and a factor 2 for 0 < omega < Nyquist. The sum of E domega dkx dky is
+    the weighted variance <W^2 f^2> / <W^2>. The mean and trend in time are removed.
 
     Examples
     --------
@@ -179,18 +179,7 @@ def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dat
 
 
 def total(density: xr.DataArray) -> xr.DataArray:
-    """Integrate a spectrum over omega, k, ky and kx, which gives the variance of the field.
-
-    Parameters
-    ----------
-    density : DataArray
-        Spectrum over any of omega, k, ky and kx.
-
-    Returns
-    -------
-    DataArray
-        Sum over these axes times their steps, in the field's units squared.
-    """
+    """Integrate a spectrum over those of omega, k, ky and kx that it has: the variance of the field."""
     out = density
     for name in ("omega", "k", "ky", "kx"):
         if name in density.dims:
@@ -277,10 +266,9 @@ def komega(
 
     Notes
     -----
-    E is the integral of `spectrum` over rings of |k|. Each cell of the k plane is divided between rings by
-    area, so energy is conserved. Rings beyond the Nyquist wavenumber of the axes lie in the corners of the
-    plane; their coverage is below 1. The mean over directions is E / (2 pi k coverage). The degrees of
-    freedom are estimated from the data, because waves from few directions have fewer.
+    E is the integral of `spectrum` over rings of |k|, between which the cells of the k plane are divided by
+    area. Rings beyond the Nyquist wavenumber lie in the corners of the plane; their coverage is below 1. The
+    mean over directions is E / (2 pi k coverage).
 
     Examples
     --------
@@ -348,9 +336,7 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     Notes
     -----
     E is the mean of the spectra of all nodes. If nodes are missing, it is the integral of E(k, omega) over k,
-    in which the squared spatial window weights the nodes. `analyze` always integrates over k; the estimate
-    then has up to twice the variance. The degrees of freedom are estimated from the variance between
-    segments or, with fewer than four segments, from those of the rings and the energy in each.
+    in which the squared spatial window weights the nodes; this estimate has up to twice the variance.
 
     Examples
     --------
