@@ -61,7 +61,7 @@ def wave(time, x):
     [
         (1e3, 0.0, []),
         (-1e3, 0.0, ["falls where"]),
-        (1.0, 0.0, ["as if it were in"]),
+        (1.0, 0.0, ["times the elevation"]),
         (1e3, 0.2, ["clock is"]),
     ],
 )

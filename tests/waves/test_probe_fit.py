@@ -44,9 +44,9 @@ def test_a_probe_that_fits_raises_no_remark(z):
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        ({"factor": 1000.0}, ["as if it were in"]),
+        ({"factor": 1000.0}, ["times the elevation"]),
         ({"factor": -1.0}, ["falls where"]),
-        ({"factor": -1000.0}, ["falls where", "as if it were in mm"]),
+        ({"factor": -1000.0}, ["falls where", "times the elevation"]),
         ({"clock": 2.15}, ["its clock is"]),
         ({"factor": 0.6}, ["times the elevation"]),
         ({"place": (0.66, 0.10)}, ["unlike the elevation"]),

@@ -53,7 +53,8 @@ def test_a_sea_of_any_depth_and_current_is_better_and_the_uncertainties_true():
     seed = 0
     rng = np.random.default_rng([41, seed])
     current = tuple(rng.uniform(-0.3, 0.3, 2))
-    truth = exact(seed, depth=float(rng.uniform(0.08, 1.0)), current=current, rate=float(rng.uniform(12, 30)))
+    water = {"depth": float(rng.uniform(0.08, 1.0)), "current": current}
+    truth = exact(seed, steps=60, rate=float(rng.uniform(12, 30)), **water)
     cube = measured(truth, seed)
     found = wf.smooth(cube)
     for name, (ratio, one, two) in judge(found, cube, truth).items():

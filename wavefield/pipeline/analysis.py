@@ -76,17 +76,12 @@ def analyze(
             Steps of a Welch segment; by default chosen from the record.
         ``depth`` : float
             Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep.
-        ``velocity`` : {"instantaneous", "displacement"}
-            What the velocities of a cube that does not state it are (`wavefield.cube`); by default
-            displacements over one step.
         ``gain`` : path, Dataset or False
             Response of the measurement to waves, undone in the spectra where it is half or more; shorter
             waves are not valid. By default the response stored with the cube; False leaves the spectra as
             they were measured.
         ``current`` : tuple of float
             Velocity of the water along x and y, m/s, used if the spectra do not allow a fit of the current.
-        ``maps`` : sequence of float
-            Frequencies of the maps E(ky, kx), Hz; by default 1.5, 2, 2.8 and 4.
 
     Returns
     -------

@@ -10,11 +10,10 @@ and ``ky`` (rad m-1). ``low`` and ``high`` are factors: the 95 % interval is ``l
 ``valid`` marks the reliable part of a spectrum.
 """
 
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial, reduce
-from operator import add
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypedDict, Unpack
 
@@ -28,7 +27,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import GROUPS, annotate, validate
 from wavefield.water import water_of
 from wavefield.waves import moments, motion, products
-from wavefield.waves.crests import POINT_DISTANCE
+from wavefield.waves.crests import distant_nodes
 from wavefield.waves.cross import NAMES, Requested, add_segment, transforms
 from wavefield.waves.current import SAMPLED_STEPS, delayed_current
 from wavefield.waves.gains import gain_of
@@ -40,8 +39,9 @@ from wavefield.waves.welch import (
     Welch,
     add_sums,
     cut_chains,
+    states_velocity,
     sum_chain,
-    with_velocity,
+    with_stated,
 )
 
 Array = NDArray[Any]
@@ -49,28 +49,17 @@ Array = NDArray[Any]
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True)
-class Sums:
-    """Sums over all segments of a cube, from which the wave products are computed."""
-
-    scale: dict[str, tuple[float, float]]  # rough mean and standard deviation of each field
-    ring_sums: dict[str, Array]  # powers and cross products that `cross.add_segment` sums
-    survey_sums: dict[str, Array]  # sums of powers and histograms, from `moments.sums_of`
-    balance_rows: list[dict[str, float]]  # rms values from `motion.balance`, each with its "step"
-    point_series: Array  # w at distant nodes, (time, nodes)
-
-
 @dataclass
-class _Partial:
+class Sums:
     """Sums over one chain of up to four consecutive segments, or over several chains."""
 
-    ring_sums: dict[str, Array] = field(default_factory=dict)
-    survey_sums: dict[str, Array] = field(default_factory=dict)
-    balance_rows: list[dict[str, float]] = field(default_factory=list)
-    points: list[Array] = field(default_factory=list)
+    ring_sums: dict[str, Array] = field(default_factory=dict)  # powers and cross products
+    survey_sums: dict[str, Array] = field(default_factory=dict)  # sums of powers and histograms
+    balance_rows: list[dict[str, float]] = field(default_factory=list)  # from `motion.balance`
+    points: list[Array] = field(default_factory=list)  # w at distant nodes, (time, nodes)
 
-    def __add__(self, other: "_Partial") -> "_Partial":
-        return _Partial(
+    def __add__(self, other: "Sums") -> "Sums":
+        return Sums(
             add_sums(self.ring_sums, other.ring_sums),
             add_sums(self.survey_sums, other.survey_sums),
             self.balance_rows + other.balance_rows,
@@ -84,93 +73,64 @@ class _Chain:
 
     read: Reader
     welch: Welch
-    scale: dict[str, tuple[float, float]]
+    scale: dict[str, tuple[float, float]]  # rough mean and standard deviation of each field
     requested: Requested
     every: int  # steps between two kinematic balances
-    report_progress: Callable[[], None] | None = None
 
-    def __call__(self, links: Sequence[Link]) -> _Partial:
-        out = _Partial()
+    def __call__(self, links: Sequence[Link]) -> Sums:
+        out = Sums()
         add_powers = partial(add_segment, self.requested, self.welch)
         out.ring_sums = sum_chain(self.read, partial(self._transform, out), add_powers, links)
         return out
 
     def _transform(
-        self, out: _Partial, blocks: list[Array], link: Link, memory: dict[str, Array]
+        self, out: Sums, blocks: list[Array], link: Link, memory: dict[str, Array]
     ) -> dict[str, Array]:
         fields = dict(zip(FIELDS, blocks))
         blocks.clear()
         if link.new:
             self._survey(fields, link.start, out)
         # the transforms come last, since they overwrite the fields
-        half = transforms(fields, self.requested.names, self.welch, memory)
-        if self.report_progress:
-            self.report_progress()
-        return half
+        return transforms(fields, self.requested.names, self.welch, memory)
 
-    def _survey(self, fields: dict[str, Array], start: int, out: _Partial) -> None:
-        record, welch = self.welch.record, self.welch
+    def _survey(self, fields: dict[str, Array], start: int, out: Sums) -> None:
+        record, current = self.welch.record, self.welch.current
         surveyed = {name: fields[name] for name in self.scale}
-        out.survey_sums = add_sums(
-            out.survey_sums, moments.sums_of(surveyed, self.scale, record.dy, record.dx)
-        )
+        sums = moments.sums_of(surveyed, self.scale, record.dy, record.dx)
+        out.survey_sums = add_sums(out.survey_sums, sums)
         out.balance_rows += [
-            {"step": float(start + i)} | motion.balance(fields, i, record.dy, record.dx, welch.current)
+            {"step": float(start + i)} | motion.balance(fields, i, record.dy, record.dx, current)
             for i in range(fields["z"].shape[0])
             if (start + i) % self.every == 0
         ]
-        apart = [max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx)]
-        points = fields["w"][:, :: apart[0], :: apart[1]]
-        out.points.append(points.reshape(points.shape[0], -1).copy())
-
-
-class _Counter:
-    """Counts the parts of an analysis that are done, in any thread, and reports the count to the user."""
-
-    def __init__(self, progress: Progress, total: int) -> None:
-        self._progress, self._total, self._done, self._lock = progress, total, 0, threading.Lock()
-
-    def __call__(self) -> None:
-        with self._lock:
-            self._done += 1
-            self._progress(self._done, self._total)
-
-
-def one_pass(
-    cube: xr.Dataset,
-    welch: Welch,
-    requested: Requested,
-    progress: Progress | None,
-    each: Each | None = None,
-) -> Sums:
-    """Read a cube once, and return the sums over its segments that the wave products need."""
-    record = welch.record
-    scale = moments.rough_scales(cube, record, list(moments.QUANTITIES.values()))
-    read = Reader([cube[name] for name in FIELDS], record)
-    chain = partial(_Chain, read, welch, scale, requested, max(1, record.steps_in_runs() // SAMPLED_STEPS))
-    chains = cut_chains(record, welch.segment)
-    if each is None:
-        count = None if progress is None else _Counter(progress, sum(len(links) for links in chains))
-        task = dask.delayed(chain(count), pure=False)
-        summed = reduce(dask.delayed(add, pure=False), [task(links) for links in chains])
-        (total,) = dask.compute(summed)
-    else:
-        count = None if progress is None else _Counter(progress, len(chains))
-        total = reduce(add, _counted(each(chain(), chains), count))
-    return Sums(scale, total.ring_sums, total.survey_sums, total.balance_rows, np.concatenate(total.points))
-
-
-def _counted(results: Iterator[_Partial], count: _Counter | None) -> Iterator[_Partial]:
-    for result in results:
-        yield result
-        if count:
-            count()
+        out.points.append(distant_nodes(fields["w"], record).copy())
 
 
 # Each thread holds half segments of all fields: .3 GB for 100 x 130 nodes, and 3.4 GB in all with eight.
 THREADS = 2
 
-MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz, of the maps E(ky, kx); 2.8 Hz is that of the paper
+
+def _in_threads(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
+    """Map work over items in a few threads, and yield the results in order."""
+    with ThreadPoolExecutor(min(THREADS, dask.config.get("num_workers", None) or THREADS)) as pool:
+        yield from pool.map(work, items)
+
+
+def one_pass(
+    cube: xr.Dataset, welch: Welch, requested: Requested, progress: Progress | None, each: Each
+) -> dict[str, Any]:
+    """Read a cube once, and return the sums over its segments that the wave products need, by name."""
+    record = welch.record
+    scale = moments.rough_scales(cube, record, list(moments.QUANTITIES.values()))
+    read = Reader([cube[name] for name in FIELDS], record)
+    chain = _Chain(read, welch, scale, requested, max(1, record.steps_in_runs() // SAMPLED_STEPS))
+    chains = cut_chains(record, welch.segment)
+    total = Sums()
+    for done, part in enumerate(each(chain, chains), 1):
+        total = total + part
+        if progress:
+            progress(done, len(chains))
+    return vars(total) | {"scale": scale, "point_series": np.concatenate(total.points)}
 
 
 class AnalysisOptions(TypedDict, total=False):
@@ -179,10 +139,8 @@ class AnalysisOptions(TypedDict, total=False):
     probes: xr.Dataset | None
     segment: int | None
     depth: float | None
-    velocity: Literal["instantaneous", "displacement"] | None
     gain: str | Path | xr.Dataset | Literal[False] | None
     current: tuple[float, float] | None
-    maps: Sequence[float]
 
 
 def analyze(
@@ -222,15 +180,14 @@ def analyze(
     gain = options.get("gain")
     if not isinstance(cube, xr.Dataset):
         raise CubeError(f"analyze needs a cube, got {described(cube)}: give the cube itself")
-    complete, unstated = with_velocity(cube, options.get("velocity"))
+    complete = with_stated(cube)
     for name in FIELDS:
         if name not in complete:
             raise CubeError(
                 f"the cube has no {name!r}: the analysis needs {', '.join(FIELDS)} over time, y and x"
             )
     fields = validate(complete, *FIELDS)
-    threads = min(THREADS, dask.config.get("num_workers", None) or THREADS)
-    with np.errstate(all="ignore"), dask.config.set(num_workers=threads):
+    with np.errstate(all="ignore"):
         depth, gamma = water_of(complete.attrs, options.get("depth"))
         given = {
             "cube": fields,
@@ -241,14 +198,10 @@ def analyze(
             "gain": gain_of(complete, gain),
             "probes": options.get("probes"),
             "given_current": options.get("current"),
-            "map_frequencies": options.get("maps", MAP_FREQUENCIES),
         }
         status = {name: complete[name] for name in ("frame_status", "quality") if name in complete}
         record = find_record(fields.assign(status), each=each)
-        tree = _analyze(given, record, options.get("segment"), progress)
-    if unstated:
-        tree.attrs["notes"] = "\n".join(filter(None, [tree.attrs["notes"], unstated]))
-    return tree
+        return _analyze(given, record, options.get("segment"), progress)
 
 
 def _analyze(
@@ -265,7 +218,7 @@ def _analyze(
     values = {**given, "filled": filled, "welch": welch, "mean_current": (mean, mean_std), "pairs": pairs}
     waiting = list(registered)
     notes = products.compute_ready(waiting, values, each)  # finds mistakes before the long pass
-    values |= vars(one_pass(cube, welch, Requested(NAMES, pairs, planes), progress, each))
+    values |= one_pass(cube, welch, Requested(NAMES, pairs, planes), progress, each or _in_threads)
     notes |= products.compute_ready(waiting, values, each)
 
     order = list(GROUPS)
@@ -273,6 +226,11 @@ def _analyze(
     stored.sort(key=lambda p: (order.index(p.group) if p.group in order else len(order), p.name != p.group))
     groups: dict[str, xr.Dataset] = {}
     text = record_notes(welch, cube, given["depth"])
+    if not states_velocity(given["complete_cube"]):
+        text.append(
+            "The cube does not state what its velocities are: displacements over one step were assumed (give"
+            " it the attribute velocity='instantaneous' for those of a model)."
+        )
     for product in stored:
         text += notes.get(product.name, [])
         if product.name in values:

@@ -39,18 +39,19 @@ def extremes(series: Array) -> tuple[Array, Array, Array]:
     return start[:-1], heights[0], heights[1]
 
 
+def distant_nodes(block: Array, record: Record) -> Array:
+    """Return the values of a block (steps, ny, nx) at nodes about 8 cm apart, (steps, nodes)."""
+    apart_y, apart_x = (max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx))
+    return block[:, ::apart_y, ::apart_x].reshape(len(block), -1)
+
+
 def _series(field: xr.DataArray, record: Record) -> list[Array]:
     """Return the elevation z at points about 8 cm apart, (time, points), for each run of the record."""
     read = Reader([field], record)
-    apart_y, apart_x = (max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx))
-    runs = []
-    for run in record.runs:
-        parts = []
-        for (block,) in read.blocks(run):
-            points = block[:, ::apart_y, ::apart_x]
-            parts.append(points.reshape(points.shape[0], -1).astype(float))
-        runs.append(np.concatenate(parts))
-    return runs
+    return [
+        np.concatenate([distant_nodes(block, record).astype(float) for (block,) in read.blocks(run)])
+        for run in record.runs
+    ]
 
 
 def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array, Array]:

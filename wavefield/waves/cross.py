@@ -22,13 +22,13 @@ from wavefield.waves.dof import (
 )
 from wavefield.waves.gains import MIN_SIGNAL_TO_NOISE, correction, to_frame_time, with_directions
 from wavefield.waves.inputs import a_cube, takes
+from wavefield.waves.motion import slopes
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
 from wavefield.waves.rings import Rings, half_plane
 from wavefield.waves.spectra import E_k, E_omega
 from wavefield.waves.welch import (
     CHANCE,
-    NODES_PER_AXIS,
     Link,
     Reader,
     TimeTransform,
@@ -71,31 +71,13 @@ def sources(names: Sequence[str]) -> list[str]:
     return [field for field in ("z", "z_t", "u", "v", "w") if field in needed]
 
 
-class _Advection:
-    """Array (steps, ny, nx) of nl or rise, whose values are computed when steps are read.
-    Reading also writes the values at 16 nodes to ``points`` (nodes, steps)."""
-
-    def __init__(self, fields: Mapping[str, Array], welch: Welch, name: str) -> None:
-        self.name = name
-        record = welch.record
-        self.fields = [np.ascontiguousarray(fields[name]) for name in ("z", "z_t", "u", "v")]
-        self.shape, self.dtype = self.fields[0].shape, self.fields[0].dtype
-        real = self.dtype.type
-        for i, mean in enumerate(welch.current, 2):
-            velocity = self.fields[i]
-            self.fields[i] = velocity - real(mean) if name == "nl" else np.full_like(velocity, mean)
-        self.points = np.empty((NODES_PER_AXIS**2, self.shape[0]), self.dtype)
-        self.distances = record.dy, record.dx
-
-    def __getitem__(self, steps: slice) -> Array:
-        first, end, _ = steps.indices(self.shape[0])
-        out = np.empty((end - first, *self.shape[1:]), self.dtype)
-        z, z_t, u, v = self.fields
-        kernels.advection(z, u, v, first, *self.distances, out)
-        if self.name == "rise":
-            out += z_t[first:end]
-        self.points[:, first:end] = some_nodes(out)
-        return out
+def advected(fields: Mapping[str, Array], welch: Welch) -> dict[str, Array]:
+    """Return nl = (u - U) . grad z and rise = z_t + U . grad z, (steps, ny, nx), by name."""
+    z, z_t, u, v = (fields[name] for name in SOURCES["nl"])
+    z_y, z_x = slopes(z, welch.record.dy, welch.record.dx)
+    along_x, along_y = map(z.dtype.type, welch.current)
+    nl = (u - along_x) * z_x + (v - along_y) * z_y
+    return {"nl": nl, "rise": along_x * z_x + along_y * z_y + z_t}
 
 
 def transforms(
@@ -108,11 +90,8 @@ def transforms(
     "points <name>" (nodes, steps) holds values at 16 nodes. The function empties `fields`, to free memory,
     and overwrites the transforms in `memory`."""
     out, memory = {}, memory or {}
-    advected = [name for name in ("nl", "rise") if name in names]
-    for name in advected:
-        advection = _Advection(fields, welch, name)
-        out[name] = transform_space(advection, memory.get(name))
-        out[f"points {name}"] = advection.points
+    if {"nl", "rise"} & {*names}:
+        fields |= advected(fields, welch)
     for name in [*fields]:
         block = fields.pop(name)
         if name in names:

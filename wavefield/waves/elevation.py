@@ -5,7 +5,7 @@ elevations, so w_hat = i w dt / (2 sin b), b = omega dt / 2, is the elevation at
 The cross spectrum of z and w_hat separates the signal from both noises; no still-water record is needed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,6 @@ from scipy.ndimage import uniform_filter1d
 
 from wavefield.variables import annotate
 from wavefield.water import dispersion, water_of, wavenumber
-from wavefield.waves import rings
 from wavefield.waves.cross import Requested, checked_fields, label, segment_sums
 from wavefield.waves.current import CurrentUsed, current_used
 from wavefield.waves.dispersion_fit import dispersion_group
@@ -58,41 +57,6 @@ def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: fl
     least = np.minimum(omega, SLOWEST * sigma)
     most = np.maximum(omega, np.minimum(FASTEST * sigma, np.pi / dt))
     return np.asarray(np.where(intrinsic < 0, -1.0, 1.0) * np.clip(np.abs(intrinsic), least, most))
-
-
-@dataclass(frozen=True)
-class SpectraOnCurrent:
-    """Spectrum of w, cross spectrum of z with w, and the current of the water."""
-
-    current: tuple[float, float]  # along x and y, m/s
-    w: xr.DataArray  # (omega, ky, kx): spectrum of w
-    # (omega, ky, kx): Re(i exp(i omega dt / 2) S), S the cross spectrum of z at frame times with w
-    zw: xr.DataArray
-
-    def elevations(self, water: Water, dt: float, frames: int) -> tuple[Array, Array, Array]:
-        """Return the elevation spectrum from w, its cross spectrum with z, and a factor, all (omega, k).
-        The factor is the noise spectrum of w dt divided by the noise of the elevation from w."""
-        ky, kx = np.meshgrid(self.w["ky"].values, self.w["kx"].values, indexing="ij")
-        sigma = dispersion(np.hypot(kx, ky), *water)
-        doppler_shift = kx * self.current[0] + ky * self.current[1]
-        ny, nx = kx.shape
-        cell_y, cell_x = (float(self.w[name][1] - self.w[name][0]) for name in ("ky", "kx"))
-        table = rings.rings(ny, nx, 2 * np.pi / (ny * cell_y), 2 * np.pi / (nx * cell_x))
-        shares = table.shares.T.tocsr()
-        area = np.asarray(shares.sum(axis=1)).ravel()
-        out = np.zeros((3, self.w.sizes["omega"], table.k.size))
-        for i, omega in enumerate(self.w["omega"].values[1:], 1):
-            intrinsic = intrinsic_frequency(omega, doppler_shift, sigma, dt)
-            half = np.sin(intrinsic * dt / 2)
-            to_z = dt / (2 * half * path_factor(intrinsic, dt, frames))
-            shape = 1 / noise_of_displacement(intrinsic, dt, frames)
-            planes = np.stack([self.w.values[i] * to_z**2, self.zw.values[i] * to_z, shape])
-            flat = np.fft.ifftshift(planes, axes=(1, 2)).reshape(3, -1)
-            out[:, i] = (shares @ flat.T).T
-        energy, cross = out[:2] * (cell_y * cell_x / table.dk)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            noise_factor = np.where(out[2] > 0, area / out[2], 0.0)
-        return energy, cross, noise_factor
 
 
 def longest_waves(omega: Array, water: Water, speed: float) -> Array:
@@ -195,7 +159,7 @@ class _Elevations:
     ww: Array
     zw: Array
     noise_factor: Array  # (omega, k): noise spectrum of w dt over that of the elevation integrated from w
-    speed: float = 0.0  # of the current, m/s
+    speed: float  # of the current, m/s
 
     @property
     def step(self) -> float:
@@ -207,13 +171,31 @@ class _Elevations:
         return np.asarray(array.sum(axis=1) * self.step)
 
 
-def _elevations(ring: xr.Dataset, water: Water, planes: SpectraOnCurrent) -> _Elevations:
-    """Return the elevation spectra from z and w, before noise is subtracted or gains are corrected."""
-    dt, omega = float(ring.attrs["dt"]), ring["omega"].values
-    frames = int(ring.attrs.get("frames", 2))
+def _elevations(
+    ring: xr.Dataset, welch: Welch, w: xr.DataArray, zw: Array, current: tuple[float, float], water: Water
+) -> _Elevations:
+    """Return the elevation spectra from z and w, before noise is subtracted or gains are corrected.
+    `w` is E(omega, ky, kx) of w, and `zw` the same for Re(i exp(i omega dt / 2) S), with the cross spectrum S
+    of z at frame times with w."""
+    dt, table, frames = welch.record.dt, welch.table, welch.frames
+    ky, kx = np.meshgrid(w["ky"].values, w["kx"].values, indexing="ij")
+    sigma, doppler_shift = dispersion(np.hypot(kx, ky), *water), kx * current[0] + ky * current[1]
+    shares = table.shares.T.tocsr()
+    area = np.asarray(shares.sum(axis=1)).ravel()
+    out = np.zeros((3, welch.omega.size, table.k.size))
+    for i, omega in enumerate(welch.omega[1:], 1):
+        intrinsic = intrinsic_frequency(omega, doppler_shift, sigma, dt)
+        to_z = dt / (2 * np.sin(intrinsic * dt / 2) * path_factor(intrinsic, dt, frames))
+        shape = 1 / noise_of_displacement(intrinsic, dt, frames)
+        planes = np.stack([w.values[i] * to_z**2, zw[i] * to_z, shape])
+        flat = np.fft.ifftshift(planes, axes=(1, 2)).reshape(3, -1)
+        out[:, i] = (shares @ flat.T).T
+    cell = float(w["ky"][1] - w["ky"][0]) * float(w["kx"][1] - w["kx"][0])
+    energy, cross = out[:2] * (cell / table.dk)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        noise_factor = np.where(out[2] > 0, area / out[2], 0.0)
     of_z = ring["E"].sel(quantity="z").values
-    speed = float(np.hypot(*planes.current))
-    return _Elevations(omega, ring["k"].values, dt, of_z, *planes.elevations(water, dt, frames), speed)
+    return _Elevations(welch.omega, table.k, dt, of_z, energy, cross, noise_factor, float(np.hypot(*current)))
 
 
 @dataclass(frozen=True)
@@ -307,64 +289,74 @@ def _by_method(
     return tuple(np.where(t, signal, 0.0) for t, signal in zip(trusted, signals)), trusted, stds
 
 
-def from_spectra(
-    ring: xr.Dataset, water: Water, gain: xr.Dataset | None, planes: SpectraOnCurrent
+def _freedom(
+    ring: xr.Dataset, energies: Sequence[Array], remaining: Array, gain_variances: Array, tiny: float
+) -> Array:
+    """Return the degrees of freedom of E(omega) by the four `METHODS`, (methods, omega).
+    Subtracted noise, of which `remaining` (omega,) is that of their combination, and `gain_variances`, the
+    relative variances of the energies by uncertain gains, lower those of the fields."""
+    z, w = (ring["dof_omega"].sel(quantity=name).clip(min=1).values for name in NAMES)
+    dof = np.stack([z, w, np.sqrt(z * w), np.sqrt(z * w)])
+    zz, ww, zw, best = energies
+    kept = np.ones_like(dof)
+    kept[2] = np.clip(2 * zw**2 / np.maximum(zz * ww + zw**2, tiny**2), 1e-3, 1)
+    kept[3] = np.clip(np.maximum(best, 0) / np.maximum(best + remaining, tiny), 1e-3, 1) ** 2
+    return np.asarray(dof / (1 / kept + 0.5 * gain_variances * dof))
+
+
+def _fused(
+    ring: xr.Dataset,
+    ring_sums: dict[str, Array],
+    welch: Welch,
+    density_w: xr.DataArray,
+    used: CurrentUsed,
+    gain: xr.Dataset | None,
+    depth: float,
+    gamma: float,
 ) -> xr.Dataset:
-    """Return the result of `fused_spectra` from the result `ring` of `cross_spectra` for z and w."""
-    spectra = _elevations(ring, water, planes)
-    omega = spectra.omega
-    gains = _gains(gain, spectra.k)
+    """Return the result of `fused_spectra` from the sums of an analysis; `density_w` is E(omega, ky, kx)."""
+    zw = density(ring_sums.pop("map z*w"), welch)  # frees memory: no other product needs it
+    water = depth, gamma
+    spectra = _elevations(ring, welch, density_w, zw, used.velocity, water)
+    gains = _gains(None if gain is None else with_directions(gain, density_w.sum("omega")), spectra.k)
     noise = _noise(spectra, water, gains)
     energies_k, trusted_k, stds_k = _by_method(spectra, noise, gains, gain is not None)
-    energies = dict(zip(METHODS, (spectra.over_k(array) for array in energies_k)))
-    fit_z, fit_w = spectra.over_k(noise.fit_z), spectra.over_k(noise.fit_w)
-    # weight of z and remaining noise of each line, if all rings are weighted alike
-    weight = (1 / fit_z) / (1 / fit_z + 1 / fit_w)
-    remaining = 1 / (1 / fit_z + 1 / fit_w)
-    tiny = _tiny(spectra)
-    positive = np.maximum(_smooth(energies["fusion"]), tiny)
-
-    dof = _freedom(ring)
-    lines = [_trusted_lines(trusted, spectra, water) for trusted in trusted_k]
+    energies = [spectra.over_k(energy) for energy in energies_k]
+    tiny, omega = _tiny(spectra), spectra.omega
+    square = [
+        (spectra.over_k(energy_k * std) / np.maximum(np.abs(energy), tiny)) ** 2
+        for energy_k, energy, std in zip(energies_k, energies, stds_k)
+    ]
+    # noise of z and w combined, and weight of z, if all rings are weighted alike
+    inverse_z, inverse_w = (1 / spectra.over_k(fit) for fit in (noise.fit_z, noise.fit_w))
+    remaining, weight = 1 / (inverse_z + inverse_w), inverse_z / (inverse_z + inverse_w)
     narrow = np.arange(omega.size) >= MIN_LINES  # lines in which the integration of w is accurate
-    integrated = dict(zip(METHODS, (np.ones_like(narrow), narrow, narrow, (weight > 0.5) | narrow)))
-    valid = {
-        method: inner(omega.size) & trusted & integrated[method] & _at_waves(energy, spectra, water)
-        for method, trusted, energy in zip(METHODS, lines, energies_k)
-    }
-    reach = [_reach(omega, valid[method], positive) for method in METHODS]
-    kept = _kept_freedom(energies, remaining, tiny)
-    for method, energy_k, std in zip(METHODS, energies_k, stds_k):
-        square = (spectra.over_k(energy_k * std) / np.maximum(np.abs(energies[method]), tiny)) ** 2
-        kept[method] = 1 / (1 / kept[method] + 0.5 * square * dof[method])
-
+    integrated = np.ones_like(narrow), narrow, narrow, (weight > 0.5) | narrow
+    valid = [
+        inner(omega.size)
+        & _trusted_lines(trusted, spectra, water)
+        & accurate
+        & _at_waves(energy, spectra, water)
+        for trusted, accurate, energy in zip(trusted_k, integrated, energies_k)
+    ]
     dims, coords = ("source", "omega"), omega_coords(omega) | {"source": list(METHODS)}
-    dofs = xr.DataArray([dof[method] * kept[method] for method in METHODS], dims=dims)
-    parts = with_interval(xr.DataArray([energies[method] for method in METHODS], coords, dims), dofs)
-    parts["valid"] = (dims, [valid[method] for method in METHODS])
+    dof = xr.DataArray(_freedom(ring, energies, remaining, np.stack(square), tiny), dims=dims)
+    parts = with_interval(xr.DataArray(energies, coords, dims), dof).assign(valid=(dims, valid))
     out = annotate(parts.rename(dict(zip(("E", "dof", "low", "high", "valid"), BY_SOURCE))), "spectra")
     out["noise_z"], out["noise_w"] = (("omega", spectra.over_k(array)) for array in (noise.z, noise.w))
     if gain is not None:
-        out = out.assign_coords(k_coords(spectra.k))
         known = trusted_k[-1] & ((gains.z > 0) | (gains.w > 0))
+        out = out.assign_coords(k_coords(spectra.k))
         out["Ez_komega"] = (("omega", "k"), np.where(known, energies_k[-1], np.nan))
-    band = np.pi / spectra.dt
     for name, white in (("sigma_z", noise.white_z), ("sigma_dz", noise.white_dz)):
-        sigma = np.sqrt(float(white.sum()) * spectra.step * band)
+        sigma = np.sqrt(float(white.sum()) * spectra.step * np.pi / spectra.dt)
         out[name] = ((), sigma if noise.known else np.nan)
-    out["range_frequency"] = ("source", [r[0] for r in reach])
-    out["range_decades"] = ("source", [r[1] for r in reach])
-    still: dict[str, Any] = {"current": list(planes.current)}
-    depth, gamma = water
-    still |= {"water_depth": depth if np.isfinite(depth) else "deep", "surface_tension_over_density": gamma}
-    return annotate(out.assign_attrs(ring.attrs | still), "fusion")
-
-
-def _freedom(ring: xr.Dataset) -> dict[str, Array]:
-    """Return the degrees of freedom of E(omega) by method, (omega,), before noise is subtracted."""
-    z, w = (ring["dof_omega"].sel(quantity=name).clip(min=1).values for name in NAMES)
-    both = np.sqrt(z * w)
-    return {"stereo": z, "w": w, "cross": both, "fusion": both}
+    positive = np.maximum(_smooth(energies[-1]), tiny)
+    reach = np.array([_reach(omega, one, positive) for one in valid])
+    out["range_frequency"], out["range_decades"] = ("source", reach[:, 0]), ("source", reach[:, 1])
+    stated = {"water_depth": depth if np.isfinite(depth) else "deep", "surface_tension_over_density": gamma}
+    out["Ez"].attrs |= used.attrs
+    return annotate(out.assign_attrs(ring.attrs | used.attrs | stated), "fusion")
 
 
 def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
@@ -374,18 +366,6 @@ def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
     energy = np.maximum(energy, 0.0)
     total = _smooth(energy.sum(axis=1))
     return np.asarray(_smooth((energy * shorter).sum(axis=1)) > 0.5 * total)
-
-
-def _kept_freedom(energies: dict[str, Array], remaining: Array, tiny: float) -> dict[str, Array]:
-    """Return, by method, the fraction of degrees of freedom left when noise is subtracted, (omega,)."""
-    zz, ww, zw, best = (energies[method] for method in METHODS)
-    both = np.maximum(best + remaining, tiny)
-    return {
-        "stereo": np.ones_like(zz),
-        "w": np.ones_like(zz),
-        "cross": np.clip(2 * zw**2 / np.maximum(zz * ww + zw**2, tiny**2), 1e-3, 1),
-        "fusion": np.clip(np.maximum(best, 0) / both, 1e-3, 1) ** 2,
-    }
 
 
 @takes(a_cube)
@@ -470,28 +450,6 @@ def fused_spectra(
     fit = xr.Dataset() if current else dispersion_group(w, welch.table.k, *water)
     used = current_used(fit, current)
     return _fused(label(sums, NAMES, PAIRS, welch), sums, welch, w, used, gain, *water)
-
-
-def _fused(
-    ring: xr.Dataset,
-    ring_sums: dict[str, Array],
-    welch: Welch,
-    density_w: xr.DataArray,
-    used: CurrentUsed,
-    gain: xr.Dataset | None,
-    depth: float,
-    gamma: float,
-) -> xr.Dataset:
-    """Return the result of `fused_spectra` from the sums of an analysis; `density_w` is E(omega, ky, kx)."""
-    cross = ring_sums.pop("map z*w")  # frees memory: no other product needs it
-    zw = xr.DataArray(density(cross, welch), density_w.coords, density_w.dims)
-    if gain is not None:
-        gain = with_directions(gain, density_w.sum("omega"))
-    out = from_spectra(
-        ring, (depth, gamma), gain, SpectraOnCurrent(used.velocity, density_w, zw)
-    ).assign_attrs(used.attrs)
-    out["Ez"].attrs |= used.attrs
-    return out
 
 
 def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str, float]) -> xr.Dataset:

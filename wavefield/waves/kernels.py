@@ -227,30 +227,6 @@ def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
             _across(z[t], i, 1 / dy, z_y[t, i])
 
 
-@_fast
-def advection(
-    z: Array,
-    u: Array,
-    v: Array,
-    first: int,
-    dy: float,
-    dx: float,
-    out: Array,
-) -> None:
-    """Write the nonlinear term u . grad z of n steps, from step ``first`` of the fields on, into ``out``."""
-    z_y = np.empty(z.shape[2], z.dtype)
-    z_x = np.empty(z.shape[2], z.dtype)
-    for t in range(out.shape[0]):
-        for i in range(z.shape[1]):
-            _along(z[first + t, i], 1 / dx, z_x)
-            _across(z[first + t], i, 1 / dy, z_y)
-            a = u[first + t, i]
-            b = v[first + t, i]
-            to = out[t, i]
-            for j in range(z_x.size):
-                to[j] = a[j] * z_x[j] + b[j] * z_y[j]
-
-
 @_loose
 def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: Array, counts: Array) -> None:
     """Add the powers 1 to 4 of values (steps, nodes) minus ``mean`` to ``sums`` (4, nodes).

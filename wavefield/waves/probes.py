@@ -29,7 +29,6 @@ Array = NDArray[Any]
 # chosen: shorter overlaps of narrow-banded waves are correlated at wrong lags, too
 MIN_OVERLAP, MIN_SAMPLES = 0.5, 40  # overlap relative to the record of the cube; samples of either series
 SAME_WAVES = 0.8  # chosen: least correlation; noise of a fifth of the waves' variance leaves 0.9
-_UNITS = {1e3: "mm", 1e2: "cm", 1e6: "um", 1e-3: "km"}
 
 
 @dataclass(frozen=True)
@@ -57,17 +56,10 @@ class ProbeFit:
                 f"its clock is {abs(self.lag):.3f} s {'ahead of' if self.lag > 0 else 'behind'} the cameras'",
                 f"Add {-self.lag:.3f} to its times (`clock` in `probes:`), or correct the cameras' `offset`",
             )
-        for factor, unit in _UNITS.items():
-            if 0.7 < self.gain / factor < 1.4:
-                yield (
-                    f"it is {self.gain:.3g} times the elevation, as if it were in {unit}",
-                    f"State it (`unit: {unit}` in `probes:`)",
-                )
-                return
         if not 0.8 < self.gain < 1.25:
             yield (
-                f"it is {self.gain:.2f} times the elevation",
-                "Calibrate it, or give its `factor` in `probes:`",
+                f"it is {self.gain:.3g} times the elevation",
+                "Calibrate it, or give its `unit` or `factor` in `probes:`",
             )
 
 

@@ -31,7 +31,6 @@ GIVEN = {
     "probes": "wave probes, or None",
     "filled": "upper limit of E(omega) added by interpolated nodes, for z and w",
     "given_current": "current, m/s, that is used if the fit is refused, or None",
-    "map_frequencies": "frequencies of the maps E(ky, kx), Hz",
     "welch": "the record, its Welch segments and the rings of its k plane",
     "mean_current": "means of u and v, and their standard uncertainties, m/s",
     "pairs": "pairs of fields whose cross spectra were summed",

@@ -17,9 +17,10 @@ from wavefield.errors import CubeError
 from wavefield.one_thread import one_thread
 from wavefield.variables import CUBE_DIMS, FrameStatus, Quality, annotate, validate
 from wavefield.water import dispersion, group_velocity, water_of
+from wavefield.waves.current import delayed_current
 from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.motion import slopes
-from wavefield.waves.record import MIN_NODES, check_axes
+from wavefield.waves.record import MIN_NODES, check_axes, whole_record
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -33,7 +34,6 @@ FIRST_AMPLITUDE = 1e-2  # m and m/s, chosen: prior before the first round, large
 MIN_NOISE_RATIO = 0.05  # chosen: least noise variance, relative to that of the cube
 MIN_RELATIVE_EIGENVALUE = 1e-3  # chosen: below it, combinations of waves vanish in the rectangle
 ROUNDS = 8  # rounds of learning; in the last, spectra change by a few per cent
-CURRENT_ERROR = 0.2  # m/s, chosen: prior standard deviation of the current about the mean velocity
 
 
 class PlaneWaves:
@@ -67,14 +67,10 @@ class PlaneWaves:
         self.basis = np.concatenate([turned.real, one, turned.imag, 0 * one], axis=1)  # (nodes, 2 vectors)
         # place of each unknown among the vectors, the last of which is zero
         self.vector = np.minimum(np.arange(self.group.size), self.kx.size)
-        self.water = depth, gamma
-        self.set_current(current)
-
-    def set_current(self, current: Array) -> None:
-        """Set the current (2,), m/s, and compute the response of the fields to each unknown for it."""
+        # response of the fields to each unknown, (fields, times, unknowns)
         k, drift = np.hypot(self.kx, self.ky), self.kx * current[0] + self.ky * current[1]
-        sigma = dispersion(k, *self.water)
-        per_elevation = sigma / (k * np.tanh(np.minimum(k * min(self.water[0], 1e6), 300.0)))
+        sigma = dispersion(k, depth, gamma)
+        per_elevation = sigma / (k * np.tanh(np.minimum(k * min(depth, 1e6), 300.0)))
         wave = np.stack(
             [np.ones_like(k), per_elevation * self.kx, per_elevation * self.ky, -1j * (sigma + drift)]
         )
@@ -94,17 +90,6 @@ class PlaneWaves:
         """Return the response of z_x and z_y to each unknown, (2, unknowns); `time` is an index."""
         k = np.stack([np.append(self.kx, 0.0), np.append(self.ky, 0.0)])
         return np.asarray(1j * k[:, self.vector] * self.response[0, time])
-
-    def change_with_current(self, unknowns: Array) -> list[Array]:
-        """Return the derivatives of the fields with respect to the current along x, and along y.
-        Both are (fields, times, ny, nx)."""
-        out = []
-        for k in (self.kx, self.ky):
-            changed = np.zeros_like(self.response)
-            changed[..., : k.size] = -1j * k * self.times[:, None] * self.response[..., : k.size]
-            changed[3, :, : k.size] += -1j * k * self.response[0, :, : k.size]  # the rise by the drift
-            out.append(self._sums(changed, unknowns))
-        return out
 
     def _sums(self, response: NDArray[np.complex128], unknowns: Array) -> Array:
         """Return the fields (fields, times, ny, nx) that the unknowns give.
@@ -195,21 +180,19 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Learned:
-    """Wave spectrum, noise and current, estimated from sample windows; arrays are (fields,) unless stated."""
+    """Wave spectrum and noise, estimated from sample windows; arrays are (fields,) unless stated."""
 
     prior: Array  # (groups,): variance of the amplitudes on each ring, and of the constants
     variance: Array  # median of the squared standard uncertainties of the cube
     noise: Array  # noise variance per node in the fit
     misfit: Array  # noise variance relative to `variance`
     taken: Array  # fraction of the noise variance that the fit reproduces
-    current: Array  # (2,), m/s
 
 
-def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array, mean: Array) -> Learned:
-    """Estimate spectrum, noise and current from sample windows (fields, times, ny, nx), 0 outside `mask`.
+def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array) -> Learned:
+    """Estimate spectrum and noise from sample windows (fields, times, ny, nx), 0 outside `mask`.
     In each round of expectation maximisation, the variance of a ring becomes the mean square of its
-    amplitudes plus their posterior variance. ``variance`` (fields,) is that stated in the cube, ``mean`` the
-    mean velocity."""
+    amplitudes plus their posterior variance. ``variance`` (fields,) is that stated in the cube."""
     products = waves.products(mask)
     # the noise that resembles waves is estimated on an orthogonal basis of all plane waves
     basis = waves.basis[mask.ravel()]
@@ -217,15 +200,13 @@ def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Arr
     held = eigenvalues > MIN_RELATIVE_EIGENVALUE * eigenvalues[-1]
     basis = basis @ (vectors[:, held] / np.sqrt(eigenvalues[held]))
     nodes, values, times = basis.shape[0], basis.shape[1], waves.times.size
-    current, noise = mean, variance * nodes / values  # neighbouring nodes have correlated noise
+    noise = variance * nodes / values  # neighbouring nodes have correlated noise
     prior = np.full(waves.group.max() + 1, FIRST_AMPLITUDE**2)
     for _ in range(ROUNDS):
-        waves.set_current(current)
         posterior = Posterior(waves.normal(products, noise), prior[waves.group])
         weight = mask / noise[:, None, None, None]
         found = [posterior.solve(waves.transposed(weight * one)) for one in windows]
         rest = [mask * (one - waves.fields(x)) for one, x in zip(windows, found)]
-        current = current + _current_step(waves, posterior, found, rest, weight, mean - current)
         covariance = posterior.covariance_of_unknowns()
         square = np.mean(np.square(found), axis=0) + np.diag(covariance)
         prior = np.bincount(waves.group, square.reshape(2, -1).mean(axis=0)) / np.bincount(waves.group)
@@ -242,28 +223,7 @@ def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Arr
         # successive steps share frames, so their noise is correlated: increase the variance accordingly
         alike = np.mean([np.sum(one.sum(axis=1) ** 2, axis=1) for one in like_waves], axis=0) / power
         noise = np.maximum(density * np.maximum(alike, 1.0), MIN_NOISE_RATIO * variance)
-    waves.set_current(current)
-    return Learned(prior, variance, noise, misfit, taken, current)
-
-
-def _current_step(
-    waves: PlaneWaves,
-    posterior: Posterior,
-    found: Sequence[Array],
-    rest: Sequence[Array],
-    weight: Array,
-    expected: Array,
-) -> Array:
-    """Return a Gauss-Newton step of the current, (2,), m/s."""
-    normal = np.eye(2) / CURRENT_ERROR**2
-    right = expected / CURRENT_ERROR**2
-    for x, left in zip(found, rest):
-        by = waves.change_with_current(x)
-        # without the part that a change of the amplitudes can explain
-        own = [one - waves.fields(posterior.solve(waves.transposed(weight * one))) for one in by]
-        normal += [[np.sum(a * weight * b) for b in by] for a in own]
-        right += [np.sum(a * weight * left) for a in own]
-    return np.asarray(np.linalg.solve(normal, right))
+    return Learned(prior, variance, noise, misfit, taken)
 
 
 NAMES = ("z", "u", "v", "w")
@@ -283,10 +243,16 @@ VARIANCE_SPACING = 5  # chosen: the variance of the fit is computed at every fif
 
 
 class _Smoother:
-    """Smooths single steps of a record; holds the rectangles, spectrum, noise and current for all steps."""
+    """Smooths single steps of a record; holds the rectangles, spectrum and noise for all steps."""
 
     def __init__(
-        self, shape: tuple[int, int], step: float, dt: float, water: tuple[float, float], steps: int
+        self,
+        shape: tuple[int, int],
+        step: float,
+        dt: float,
+        steps: int,
+        current: Array,
+        water: tuple[float, float],
     ) -> None:
         most = min(MAX_HALF_WINDOW_STEPS, (steps - 1) // 2)
         self.steps = int(np.clip(round(HALF_WINDOW / dt), MIN_HALF_WINDOW_STEPS, most))
@@ -303,7 +269,7 @@ class _Smoother:
         ramps = [np.minimum(np.arange(n) + 1.0, n - np.arange(n)).clip(max=OVERLAP_NODES) for n in self.tile]
         self.taper = ramps[0][:, None] * ramps[1]
         self.step, times = step, dt * np.arange(-self.steps, self.steps + 1, dtype=np.float64)
-        self.waves = PlaneWaves(self.tile, step, times, np.zeros(2), *water)
+        self.waves = PlaneWaves(self.tile, step, times, current, *water)
         self.learned: Learned
         self.mask = np.zeros(shape, bool)
         self._fits: dict[int, tuple[Posterior, Array]] = {}
@@ -321,7 +287,7 @@ class _Smoother:
         return np.where(there, fields, 0.0), np.where(there, variance, 1.0), there
 
     def study(self, windows: list[Array]) -> None:
-        """Learn spectrum, noise and current from sample windows (9, times, ny, nx).
+        """Learn spectrum and noise from sample windows (9, times, ny, nx).
         Raises CubeError if less than a quarter of the nodes is measured throughout the better half of them.
         """
         parts = [self.parts(window) for window in windows]
@@ -340,8 +306,7 @@ class _Smoother:
             np.concatenate([one[part][:, :, mask] for _, one, _ in parts], axis=1), axis=(1, 2)
         )
         samples = [np.where(mask, one[part], 0.0) for one, _, _ in parts]
-        mean = np.mean([one[1:3, :, mask].mean(axis=(1, 2)) for one in samples], axis=0)
-        self.learned = learn(self.waves, mask, samples, variance, mean)
+        self.learned = learn(self.waves, mask, samples, variance)
 
     def fit_of(self, number: int) -> tuple[Posterior, Array]:
         """Return the posterior of rectangle `number`, and the covariance of its fields at the middle time.
@@ -428,7 +393,7 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     cube : Dataset
         z, u, v, w over (time, y, x), m and m/s, with their standard uncertainties ``z_std``, ``u_std``,
         ``v_std``, ``w_std``; ``quality`` and ``frame_status`` where present. A lazy cube gives a lazy result,
-        except that eight short parts of it are read at once, to learn spectrum, noise and current.
+        except that some steps of it are read at once, to learn spectrum, noise and current.
     depth : float, optional
         Depth of the water, m; by default the depth stored with the cube, or else deep water.
 
@@ -498,7 +463,8 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     if "frame_status" in cube:
         used = quality.where(cube["frame_status"] != FrameStatus.DISCONTINUOUS, JUMP_OF_TIME)
     arrays = [*(fields[name] for name in INPUTS[:8]), used]
-    smoother = _Smoother(shape, dx, dt, water_of(cube.attrs, depth), steps)
+    current, _ = delayed_current(fields, whole_record(fields)).compute()
+    smoother = _Smoother(shape, dx, dt, steps, current, water_of(cube.attrs, depth))
     reach = smoother.steps
     middles = sorted(
         {reach + (2 * i + 1) * (steps - 2 * reach) // (2 * SAMPLED_WINDOWS) for i in range(SAMPLED_WINDOWS)}
@@ -524,6 +490,6 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     found = fields.assign({name: (CUBE_DIMS, out[i]) for i, name in enumerate(INPUTS[:8])})
     if "quality" in cube:
         found["quality"] = quality
-    current = ", ".join(f"{part:.4f}" for part in smoother.learned.current)
+    current = ", ".join(f"{part:.4f}" for part in current)
     how = f"by free waves over {2 * reach + 1} steps, on a current of {current} m/s"
     return annotate(found).assign_attrs({**cube.attrs, "smoothed": how})

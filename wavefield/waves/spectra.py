@@ -4,7 +4,6 @@ Fields are transformed in space step by step, then in time segment by segment. T
 the spectrum of a real field is symmetric.
 """
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -435,15 +434,19 @@ def _sum_of_lines(w: xr.DataArray) -> xr.DataArray:
     return w.sum("omega")
 
 
-def map_lines(welch: Welch, frequencies: Sequence[float]) -> list[int]:
-    """Return the indices of the lines nearest to the `frequencies`, Hz, without those at 0 and at Nyquist."""
+MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz, of the maps E(ky, kx); 2.8 Hz is that of the paper
+
+
+def map_lines(welch: Welch) -> list[int]:
+    """Return the indices of the lines nearest to `MAP_FREQUENCIES`, without those at 0 and at Nyquist."""
     lines = welch.omega / (2 * np.pi)
-    return sorted({int(np.abs(lines - f).argmin()) for f in frequencies if f < lines[-2]} - {0})
+    return sorted({int(np.abs(lines - f).argmin()) for f in MAP_FREQUENCIES if f < lines[-2]} - {0})
 
 
-def maps(z: xr.DataArray, w: xr.DataArray, lines: list[int]) -> xr.Dataset:
-    """Return E(ky, kx) of z and w at the given lines: ``E_kxky`` (quantity_map, omega_map, ky, kx)."""
-    both = xr.concat([z.isel(omega=lines), w.isel(omega=lines)], xr.Variable("quantity_map", ["z", "w"]))
+def maps(z: xr.DataArray, w: xr.DataArray, welch: Welch) -> xr.Dataset:
+    """Return E(ky, kx) of z and w at `map_lines`: ``E_kxky`` (quantity_map, omega_map, ky, kx)."""
+    parts = [field.isel(omega=map_lines(welch)) for field in (z, w)]
+    both = xr.concat(parts, xr.Variable("quantity_map", ["z", "w"]))
     return both.drop_vars("frequency").rename(omega="omega_map").drop_attrs().to_dataset(name="E_kxky")
 
 
@@ -453,6 +456,5 @@ register(
         for name in ("z", "w")
     ),
     WaveProduct("plane_w", ("density_w",), _sum_of_lines),
-    WaveProduct("map_lines", ("welch", "map_frequencies"), map_lines),
-    WaveProduct("maps", ("density_z", "density_w", "map_lines"), maps, group="spectra"),
+    WaveProduct("maps", ("density_z", "density_w", "welch"), maps, group="spectra"),
 )

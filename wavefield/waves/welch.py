@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, special  # scipy.stats takes half a second to import
 
 from wavefield.errors import CubeError
-from wavefield.variables import INSTANTANEOUS, frames_of_path
+from wavefield.variables import INSTANTANEOUS
 from wavefield.water import WATER, water_of
 from wavefield.waves import kernels, rings
 from wavefield.waves.record import (
@@ -500,27 +500,10 @@ def frames_of_meaning(*stated: str) -> int:
     return MEANINGS[stated[0]]
 
 
-def with_velocity(cube: xr.Dataset, meaning: str | None) -> tuple[Any, str]:
-    """Return the cube with the coordinate `path_frames` of the velocities that `meaning` states, and a note.
-    The note says that displacements are assumed if neither `meaning` nor the cube states them."""
-    cube = with_stated(cube)
-    arrays = [cube[name] for name in ("u", "v", "w") if name in cube]
-    stated = "path_frames" in cube.coords or any(
-        key in one.attrs for one in (cube, *arrays) for key in (VELOCITY, "recipe")
-    )
-    if meaning is None:
-        note = (
-            "The cube does not state what its velocities are: displacements over one step were assumed (give"
-            " `velocity: instantaneous` for those of a model)."
-        )
-        return cube, "" if stated else note
-    frames = frames_of_meaning(meaning)
-    if stated and frames_of(cube) != frames:
-        raise CubeError(
-            f"velocity is {meaning!r}, but the cube states that its velocities come from"
-            f" {frames_of_path(frames_of(cube))} frames: leave velocity out"
-        )
-    return cube.assign_coords(path_frames=np.uint8(frames)), ""
+def states_velocity(cube: xr.Dataset) -> bool:
+    """Whether a cube states if its velocities are displacements or instantaneous, or comes from a run."""
+    of = [cube, *(cube[name] for name in ("u", "v", "w"))]
+    return "path_frames" in cube.coords or any({VELOCITY, "recipe"} & {*one.attrs} for one in of)
 
 
 def inner(lines: int) -> NDArray[np.bool_]:
