@@ -28,11 +28,11 @@ from wavefield.variables import GROUPS, annotate, validate
 from wavefield.water import water_of
 from wavefield.waves import moments, motion, products
 from wavefield.waves.crests import distant_nodes
-from wavefield.waves.cross import NAMES, Requested, add_segment, transforms
 from wavefield.waves.current import SAMPLED_STEPS, delayed_current
 from wavefield.waves.gains import gain_of
 from wavefield.waves.inputs import described
 from wavefield.waves.record import FIELDS, Each, Record, filled_density, filled_error, find_record
+from wavefield.waves.sums import NAMES, Requested, add_segment, transforms
 from wavefield.waves.welch import (
     Link,
     Reader,
@@ -91,7 +91,7 @@ class _Chain:
         if link.new:
             self._survey(fields, link.start, out)
         # the transforms come last, since they overwrite the fields
-        return transforms(fields, self.requested.names, self.welch, memory)
+        return transforms(fields, self.requested, self.welch, memory)
 
     def _survey(self, fields: dict[str, Array], start: int, out: Sums) -> None:
         record, current = self.welch.record, self.welch.current

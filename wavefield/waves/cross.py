@@ -1,8 +1,7 @@
 """Power and cross spectra of several fields of a cube, and the coherence of z_t with w and u . grad z."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,166 +10,28 @@ from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
-from wavefield.waves import kernels
 from wavefield.waves.current import delayed_current
 from wavefield.waves.dof import (
     independent_samples,
-    keep_points,
     of_products,
     ring_freedom,
     with_interval,
 )
-from wavefield.waves.gains import MIN_SIGNAL_TO_NOISE, correction, to_frame_time, with_directions
+from wavefield.waves.gains import MIN_SIGNAL_TO_NOISE, correction, with_directions
 from wavefield.waves.inputs import a_cube, takes
-from wavefield.waves.motion import slopes
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
-from wavefield.waves.rings import Rings, half_plane
 from wavefield.waves.spectra import E_k, E_omega
+from wavefield.waves.sums import NAMES, Requested, segment_sums, sources, transforms
 from wavefield.waves.welch import (
     CHANCE,
-    Link,
     Reader,
-    TimeTransform,
     Welch,
     k_coords,
     omega_coords,
-    slabs,
-    some_nodes,
-    sum_segments,
-    transform_space,
 )
 
 Array = NDArray[Any]
-
-# fields of the cube from which each quantity is computed; nl is (u - U) . grad z, rise is z_t + U . grad z
-SOURCES = {
-    "z": ("z",),
-    "z_t": ("z_t",),
-    "rise": ("z", "z_t", "u", "v"),
-    "u": ("u",),
-    "v": ("v",),
-    "w": ("w",),
-    "nl": ("z", "z_t", "u", "v"),
-}
-NAMES = tuple(SOURCES)
-
-
-@dataclass(frozen=True)
-class Requested:
-    """Quantities whose power, and pairs of quantities whose cross spectra, are summed over segments."""
-
-    names: Sequence[str]
-    pairs: Sequence[tuple[str, str]] = ()
-    planes: Sequence[str] = ()  # quantities, or pairs "a*b", that are also summed at each cell of the k plane
-
-
-def sources(names: Sequence[str]) -> list[str]:
-    """Return the fields of a cube from which the quantities `names` are computed."""
-    needed = {field for name in names for field in SOURCES[name]}
-    return [field for field in ("z", "z_t", "u", "v", "w") if field in needed]
-
-
-def advected(fields: Mapping[str, Array], welch: Welch) -> dict[str, Array]:
-    """Return nl = (u - U) . grad z and rise = z_t + U . grad z, (steps, ny, nx), by name."""
-    z, z_t, u, v = (fields[name] for name in SOURCES["nl"])
-    z_y, z_x = slopes(z, welch.record.dy, welch.record.dx)
-    along_x, along_y = map(z.dtype.type, welch.current)
-    nl = (u - along_x) * z_x + (v - along_y) * z_y
-    return {"nl": nl, "rise": along_x * z_x + along_y * z_y + z_t}
-
-
-def transforms(
-    fields: dict[str, Array],
-    names: Sequence[str],
-    welch: Welch,
-    memory: Mapping[str, Array] | None = None,
-) -> dict[str, Array]:
-    """Return the spatial transforms (cells, steps) of the quantities `names` in half a segment, by name.
-    "points <name>" (nodes, steps) holds values at 16 nodes. The function empties `fields`, to free memory,
-    and overwrites the transforms in `memory`."""
-    out, memory = {}, memory or {}
-    if {"nl", "rise"} & {*names}:
-        fields |= advected(fields, welch)
-    for name in [*fields]:
-        block = fields.pop(name)
-        if name in names:
-            out[f"points {name}"] = some_nodes(block)
-            out[name] = transform_space(block, memory.get(name))
-    return out
-
-
-def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Array]:
-    """Return the arrays of zeros to which `add_segment` adds, for transforms like `half` (cells, n / 2).
-    By name: powers and squared powers of each quantity, or real and imaginary parts of a pair "a*b", (2,
-    rings, n / 2 + 1); "squares a*b" (rings, n / 2 + 1); "map ..." (cells, n), for single cells."""
-    cells, steps = half.shape
-    names = (*requested.names, *(f"{a}*{b}" for a, b in requested.pairs))
-    sums = {name: np.zeros((2, table.k.size, steps + 1)) for name in names}
-    squares = {f"squares {a}*{b}": np.zeros((table.k.size, steps + 1)) for a, b in requested.pairs}
-    planes = {f"map {name}": np.zeros((cells, 2 * steps), half.real.dtype) for name in requested.planes}
-    return sums | squares | planes
-
-
-def add_segment(
-    requested: Requested,
-    welch: Welch,
-    sums: dict[str, Array],
-    first: dict[str, Array],
-    second: dict[str, Array],
-    begin: int,
-) -> None:
-    """Add the powers and cross products of one segment, and its Fourier lines at 16 nodes, to `sums`.
-    `first` and `second` are the results of `transforms` for its halves, and `begin` is its first step."""
-    if not sums:
-        sums |= empty_sums(first[requested.names[0]], requested, welch.table)
-    table, dt, names = welch.table, welch.record.dt, requested.names
-    cells, half = first[names[0]].shape
-    dtype = first[names[0]].dtype
-    transform = TimeTransform(half, dtype, len(names))
-    omega = 2 * np.pi * np.fft.fftfreq(2 * half, dt)  # signed
-    k = half_plane(*welch.record.shape, welch.record.dy, welch.record.dx)
-    quadrature = [factor.astype(first[names[0]].real.dtype) for factor in _quadrature(omega * dt / 2)]
-    for slab in slabs(cells):
-        start = table.start[slab.start : slab.stop + 1]
-        lines = {}
-        for i, name in enumerate(names):
-            lines[name] = transform(first[name][slab], second[name][slab], i)
-            if name == "z":
-                lines[name] *= to_frame_time(k[slab, None], omega, dt, welch.frames)
-            kernels.ring_powers(lines[name], start, table.ring, table.weight, table.spread, sums[name])
-            if name in requested.planes:
-                kernels.add_powers(lines[name], sums[f"map {name}"][slab])
-        for pair in requested.pairs:
-            _add_products(sums, lines, pair, slab, table, quadrature)
-    for name in names:
-        keep_points(sums, name, first[f"points {name}"], second[f"points {name}"], begin)
-
-
-def _add_products(
-    sums: dict[str, Array],
-    lines: Mapping[str, Array],
-    pair: tuple[str, str],
-    slab: slice,
-    table: Rings,
-    quadrature: Sequence[Array],
-) -> None:
-    """Add the cross spectrum of a pair of quantities in one segment to `sums`, for the cells of a `slab`."""
-    first, second, name = lines[pair[0]], lines[pair[1]], "*".join(pair)
-    start = table.start[slab.start : slab.stop + 1]
-    kernels.ring_cross_spectra(first, second, start, table.ring, table.weight, sums[name])
-    kernels.ring_squares(first, second, start, table.ring, table.spread, sums[f"squares {name}"])
-    if f"map {name}" in sums:
-        kernels.add_products(first, second, quadrature[0], quadrature[1], sums[f"map {name}"][slab])
-
-
-def _quadrature(b: Array) -> tuple[Array, Array]:
-    """Return the factors (n,) with which Re S and Im S add up to Re(i exp(i b) S), for b = omega dt / 2.
-    At positive frequencies, S of numpy's transforms is the conjugate of that of exp(i (k . x - omega t))."""
-    imaginary = np.where(b < 0, -1.0, 1.0) * np.cos(b)
-    imaginary[[0, b.size // 2]] = 0.0
-    return -np.sin(np.abs(b)), imaginary
-
 
 # dimensions of the results
 _DIMS = {
@@ -249,28 +110,10 @@ def cross_spectra(
     return label(segment_sums(cube, Requested(names, pairs), welch), names, pairs, welch)
 
 
-def _transform_blocks(
-    names: Sequence[str], welch: Welch, blocks: list[Array], link: Link, memory: dict[str, Array]
-) -> dict[str, Array]:
-    """Return `transforms` of half a segment from its `blocks`, which are in the order of `sources`."""
-    fields = dict(zip(sources(names), blocks))
-    blocks.clear()  # so that `transforms` can release them
-    return transforms(fields, names, welch, memory)
-
-
 def with_mean_current(cube: xr.Dataset, welch: Welch) -> Welch:
     """Return `welch` with the mean of u and v over the record as its current."""
     mean, _ = delayed_current(cube, welch.record).compute()
     return replace(welch, current=(float(mean[0]), float(mean[1])))
-
-
-def segment_sums(cube: xr.Dataset, requested: Requested, welch: Welch) -> dict[str, Array]:
-    """Return the sums of `add_segment` over all segments of a cube from `checked_fields`."""
-    names = requested.names
-    fields = [cube[field] for field in sources(names)]
-    transform, add = partial(_transform_blocks, names, welch), partial(add_segment, requested, welch)
-    sums: dict[str, Array] = sum_segments(fields, welch.record, welch.segment, transform, add).compute()
-    return sums
 
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
@@ -454,7 +297,7 @@ def plane_coherence(cube: xr.Dataset) -> xr.Dataset:
     sums: dict[str, Array] = {}
     for run in record.runs:
         for blocks in read.blocks(run):
-            parts = transforms(dict(zip(fields, blocks)), COHERENCE_NAMES, welch)
+            parts = transforms(dict(zip(fields, blocks)), Requested(COHERENCE_NAMES), welch)
             precise = {n: parts[n].astype(np.complex128) for n in COHERENCE_NAMES}
             for name, values in _plane_sums(precise).items():
                 sums[name] = sums[name] + values if name in sums else values

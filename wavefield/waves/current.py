@@ -22,13 +22,10 @@ def delayed_current(cube: xr.Dataset, record: Record) -> Any:
     """Return the mean (u, v) of up to 256 steps and its standard uncertainty, (2,), m/s, as dask objects.
     Equal weights in space would leave a hundredth of the waves, coherent with z_t; a Hann window removes
     them."""
-    missing = set(record.bridged)
-    steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
-    chosen = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, SAMPLED_STEPS).astype(int)})
     area = slice(*record.y), slice(*record.x)
     task = dask.delayed(_means_of_steps, pure=False)
     parts = []
-    for steps_of in _by_chunk(cube["u"], chosen):  # each chunk is read once
+    for steps_of in _by_chunk(cube["u"], record.some_steps(SAMPLED_STEPS)):  # each chunk is read once
         steps_read = slice(steps_of[0], steps_of[-1] + 1)
         at = [t - steps_of[0] for t in steps_of]
         parts.append([task(piece(cube[name], steps_read, *area), at) for name in ("u", "v")])

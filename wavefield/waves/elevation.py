@@ -16,13 +16,12 @@ from scipy.ndimage import uniform_filter1d
 
 from wavefield.variables import annotate
 from wavefield.water import dispersion, water_of, wavenumber
-from wavefield.waves.cross import Requested, checked_fields, label, segment_sums
+from wavefield.waves.cross import checked_fields, label
 from wavefield.waves.current import CurrentUsed, current_used
 from wavefield.waves.dispersion_fit import dispersion_group
 from wavefield.waves.dispersion_points import Water
 from wavefield.waves.dof import with_interval
 from wavefield.waves.gains import (
-    MIN_AMPLITUDE,
     MIN_SIGNAL_TO_NOISE,
     is_predicted,
     noise_of_displacement,
@@ -35,6 +34,7 @@ from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import density, plane_density
+from wavefield.waves.sums import MIN_AMPLITUDE, Requested, segment_sums
 from wavefield.waves.welch import (
     MIN_OVER_FILLED,
     Welch,

@@ -15,14 +15,13 @@ from scipy.ndimage import gaussian_filter1d
 
 from wavefield.errors import StoreError
 from wavefield.variables import INSTANTANEOUS, PATH_WEIGHTS, annotate
-from wavefield.water import dispersion
+from wavefield.waves.sums import MIN_AMPLITUDE
 from wavefield.waves.welch import k_coords
 
 Array = NDArray[Any]
 Values = TypeVar("Values", float, Array, xr.DataArray)
 
 MIN_SIGNAL_TO_NOISE = 3.0  # of a cell, ring or band: a noise wrong by a tenth changes the waves by 3 %
-MIN_AMPLITUDE = 0.5  # smallest gain that is corrected (chosen): a correction at most doubles the amplitude
 
 
 def path_factor(omega: Values, dt: float, frames: int) -> Values:
@@ -47,18 +46,6 @@ def noise_of_displacement(omega: Values, dt: float, frames: int) -> Values:
     twice: Any = omega * dt if frames == INSTANTANEOUS else 2 * np.sin(omega * dt / 2)
     factor: Values = twice**2
     return factor
-
-
-def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
-    """Return the factor that converts the transform of z at mid-time to z at the first frame of each step.
-    A run interpolates z from six frames that move with the mean flow; for other `frames` it only shifts the
-    time."""
-    start = np.exp(-0.5j * omega * dt)
-    if frames <= 2:  # fields of another program
-        return np.asarray(start)
-    b = dispersion(np.asarray(k, float)) * dt / 2
-    amplitude = np.abs(150 * np.cos(b) - 25 * np.cos(3 * b) + 3 * np.cos(5 * b)) / 128
-    return np.asarray(start / np.maximum(amplitude, MIN_AMPLITUDE))
 
 
 def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:

@@ -25,58 +25,26 @@ from wavefield.waves.welch import Reader, Welch, add_sums, inner
 Array = NDArray[Any]
 
 
-def relative_std(power: Array, dof: Array, overlap: Array) -> float:
-    """Return the relative standard uncertainty of the sum of a spectrum over its lines or rings.
-    `overlap` holds the squared correlations between these. NaN if a value is not finite or the sum is zero.
-    """
-    if not (np.isfinite(power).all() and np.isfinite(dof).all() and power.sum() > 0):
-        return np.nan
-    return float(np.sqrt(2 / sum_freedom(power[:, None], np.maximum(dof, 1)[:, None], overlap)[0]))
+MIN_PERIODS = 10  # chosen: peak periods of the shortest record that separates the peak from other waves
+# quantities with a standard uncertainty: power of k in the integral of E(omega, k), power of this integral
+_INTEGRALS = {"significant_height": (0, 0.5), "mean_square_slope": (2, 1.0), "slope_rms": (2, 0.5)}
 
 
-def moment_stds(energy: xr.DataArray, dof: Array, welch: Welch) -> dict[str, float]:
-    """Return relative standard uncertainties of the ``variance`` and of the mean square ``slope``.
-    `dof` (omega,) are the degrees of freedom of the mean of the spectra of all nodes."""
+def with_stds(out: xr.Dataset, energy: xr.DataArray, dof: Array, welch: Welch) -> xr.Dataset:
+    """Return `out` with standard uncertainties of significant height and slopes; NaN if they are unknown.
+    `energy` is E(omega, k) of z, and `dof` (omega,) are those of the mean of the spectra of all nodes."""
     energy = energy.fillna(0.0)
-    longer = welch.record.steps_in_runs() * welch.record.dt / welch.duration
-    overlap = hann_correlation(energy.sizes["omega"])
-    sums = {"variance": energy.sum("k"), "slope": (energy * energy["k"] ** 2).sum("k")}
-    return {name: relative_std(power.values, dof * longer, overlap) for name, power in sums.items()}
-
-
-MIN_PERIODS = (
-    10  # chosen: peak periods of the shortest record in which the peak is separated from other waves
-)
-
-
-def without_short_peak(statistics: xr.Dataset, seconds: float) -> Noted:
-    """Drop spectral peak, steepness and wave height, with a note, if the record has less than ten periods."""
-    periods = seconds * float(statistics["peak_frequency"])
-    if periods >= MIN_PERIODS:
-        return Noted(statistics, [])
-    gone = ["peak_frequency", "peak_k", "steepness", "significant_height"]
-    note = (
-        "No spectral peak, steepness or wave height: the record holds"
-        f" {periods:.2g} peak periods; {MIN_PERIODS} are needed."
-    )
-    gone = [f"{name}{end}" for name in gone for end in ("", "_std")]
-    return Noted(statistics.drop_vars(gone, errors="ignore"), [note])
-
-
-def of_elevation(z: xr.DataArray, record: Record) -> tuple[dict[str, float], tuple[float, float]]:
-    """Return the uncertainties of `moment_stds`, and the peak frequency with its standard uncertainty, rad/s.
-    All are NaN if the record is shorter than a segment; the peak, if it has less than ten periods."""
-    try:
-        both = komega(z, record=record)
-    except CubeError:
-        return {"variance": np.nan, "slope": np.nan}, (np.nan, np.nan)
-    found, peak = E_omega(both), (np.nan, np.nan)
-    energy, valid, dof, omega = (found[n].values for n in ("E", "valid", "dof", "omega"))
-    if energy[valid].max(initial=0.0) > 0:
-        peak = peak_and_std(energy, valid, dof, omega)
-    periods = record.steps_in_runs() * record.dt * peak[0] / (2 * np.pi)
-    stds = moment_stds(both["E"], dof, Welch.of(z, record=record))
-    return stds, peak if periods >= MIN_PERIODS else (np.nan, np.nan)
+    dof = np.maximum(dof * (welch.record.steps_in_runs() * welch.record.dt / welch.duration), 1)[:, None]
+    overlap = hann_correlation(len(dof))
+    stds = {}
+    for name, (of_k, exponent) in _INTEGRALS.items():
+        if name not in out:
+            continue
+        power = (energy * energy["k"] ** of_k).sum("k").values
+        known = np.isfinite(power).all() and np.isfinite(dof).all() and power.sum() > 0
+        relative = np.sqrt(2 / sum_freedom(power[:, None], dof, overlap)[0]) if known else np.nan
+        stds[f"{name}_std"] = ((), exponent * float(relative) * float(out[name]))
+    return out.assign(stds)
 
 
 def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Array) -> tuple[float, float]:
@@ -96,31 +64,6 @@ def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Arr
     return float(found[0]), float(std)
 
 
-def with_stds(out: xr.Dataset, stds: dict[str, float]) -> xr.Dataset:
-    """Return `out` with standard uncertainties of significant height and slopes, from `moment_stds`."""
-    parts = {}
-    for name, kind, power in (
-        ("significant_height", "variance", 0.5),
-        ("mean_square_slope", "slope", 1.0),
-        ("slope_rms", "slope", 0.5),
-    ):
-        if name in out:
-            parts[f"{name}_std"] = ((), power * stds[kind] * float(out[name]))
-    return out.assign(parts)
-
-
-def steepness_std(out: xr.Dataset, peak: float, depth: float, gamma: float) -> xr.Dataset:
-    """Return `out` with uncertainties of peak frequency, peak wavenumber and steepness (`peak`: rad/s)."""
-    k = float(out["peak_k"])
-    k_std = peak / float(group_velocity(k, depth, gamma))
-    relative = np.hypot(k_std / k, float(out["significant_height_std"] / out["significant_height"]))
-    return out.assign(
-        peak_frequency_std=((), peak / (2 * np.pi)),
-        peak_k_std=((), k_std),
-        steepness_std=((), float(out["steepness"]) * relative),
-    )
-
-
 QUANTITIES = {"z": "z", "dx": "u", "dy": "v", "dz": "w"}  # displacements are velocities times dt
 REACH, BINS = 6.0, 120  # chosen: half width of the histograms in standard deviations, and number of bins
 SAMPLED_STEPS = 8  # steps for the rough bins, which are later interpolated; a scale wrong by a tenth suffices
@@ -129,10 +72,11 @@ Scales = Mapping[str, tuple[float, float]]  # rough mean and standard deviation 
 
 def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Return a mean and standard deviation of each field from a few steps, for the bins of the histograms."""
-    missing = set(record.bridged)
-    steps = [t for a, b in record.runs for t in range(a, b) if t not in missing]
-    sampled = sorted({steps[i] for i in np.linspace(0, len(steps) - 1, SAMPLED_STEPS).astype(int)})
-    part = cube[list(names)].isel(time=sampled, y=slice(*record.y), x=slice(*record.x)).compute()
+    part = (
+        cube[list(names)]
+        .isel(time=record.some_steps(SAMPLED_STEPS), y=slice(*record.y), x=slice(*record.x))
+        .compute()
+    )
     out = {}
     for name in names:
         values = part[name].values.astype(float)
@@ -272,9 +216,21 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
         for blocks in read.blocks(run):
             sums = add_sums(sums, sums_of(dict(zip(names, blocks)), scales, record.dy, record.dx))
     out = label(sums, scales, record.dt)
-    stds, peak = of_elevation(cube["z"], record)
+    peak = np.nan, np.nan
+    try:
+        both = komega(cube["z"], record=record)
+    except CubeError:  # shorter than a segment
+        out = out.assign({f"{name}_std": ((), np.nan) for name in _INTEGRALS})
+    else:
+        found = E_omega(both)
+        energy, valid, dof, omega = (found[name].values for name in ("E", "valid", "dof", "omega"))
+        out = with_stds(out, both["E"], dof, Welch.of(cube["z"], record=record))
+        if energy[valid].max(initial=0.0) > 0:
+            peak = peak_and_std(energy, valid, dof, omega)
+    if not record.steps_in_runs() * record.dt * peak[0] / (2 * np.pi) >= MIN_PERIODS:
+        peak = np.nan, np.nan
     out["peak_frequency"], out["peak_frequency_std"] = (((), value / (2 * np.pi)) for value in peak)
-    return annotate(with_stds(out, stds), "statistics")
+    return annotate(out, "statistics")
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
@@ -282,10 +238,19 @@ def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma
     stereo = fused.sel(source="stereo")  # integrated w has no lowest lines, in which the peak may be
     lines = inner(fused.sizes["omega"])
     peak, std = peak_and_std(stereo["Ez"].values, lines, stereo["dof_Ez"].values, fused["omega"].values)
-    k_peak = float(wavenumber(peak, depth, gamma))
-    steepness = k_peak * float(statistics["std"].sel(quantity="z"))
-    peaks = {"peak_frequency": peak / (2 * np.pi), "peak_k": k_peak, "steepness": steepness}
-    return annotate(steepness_std(statistics.assign(peaks), std, depth, gamma), "statistics")
+    k = float(wavenumber(peak, depth, gamma))
+    k_std = std / float(group_velocity(k, depth, gamma))
+    steepness = k * float(statistics["std"].sel(quantity="z"))
+    relative = np.hypot(
+        k_std / k, float(statistics["significant_height_std"] / statistics["significant_height"])
+    )
+    out = {"peak_frequency": peak / (2 * np.pi), "peak_k": k, "steepness": steepness}
+    stds = {
+        "peak_frequency_std": std / (2 * np.pi),
+        "peak_k_std": k_std,
+        "steepness_std": steepness * relative,
+    }
+    return annotate(statistics.assign(out | stds), "statistics")
 
 
 def _moments(sums: Mapping[str, Array], scales: Scales, welch: Welch) -> xr.Dataset:
@@ -312,10 +277,17 @@ def _statistics_group(
             " its spectra: check them before you use spectra decades below the peak."
         )
     z = spectra.sel(quantity="z", drop=True)
-    stds = moment_stds(z["E"], dof_of_all_nodes(z["dof_omega"].values, welch), welch)
-    out = spectral_peak(with_stds(moments, stds), fused, depth, gamma)
-    limited = without_short_peak(out, welch.record.steps_in_runs() * welch.record.dt)
-    return Noted(limited.value, [*notes, *limited.notes])
+    out = with_stds(moments, z["E"], dof_of_all_nodes(z["dof_omega"].values, welch), welch)
+    out = spectral_peak(out, fused, depth, gamma)
+    periods = welch.record.steps_in_runs() * welch.record.dt * float(out["peak_frequency"])
+    if periods < MIN_PERIODS:
+        notes.append(
+            "No spectral peak, steepness or wave height: the record holds"
+            f" {periods:.2g} peak periods; {MIN_PERIODS} are needed."
+        )
+        gone = ("peak_frequency", "peak_k", "steepness", "significant_height")
+        out = out.drop_vars([f"{name}{end}" for name in gone for end in ("", "_std")])
+    return Noted(out, notes)
 
 
 register(

@@ -1,7 +1,7 @@
 """The record that spectra are computed from: the largest full rectangle and the unbroken runs of a cube."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -159,11 +159,11 @@ class Record:
         """Total number of steps of the runs that are not shorter than ``shortest``."""
         return sum(b - a for a, b in self.runs if b - a >= shortest)
 
-    def part(self, first: int, stop: int) -> "Record":
-        """Return the record restricted to the steps from ``first`` to ``stop`` (excluded) of one run."""
-        return replace(
-            self, runs=((first, stop),), bridged=tuple(n for n in self.bridged if first <= n < stop)
-        )
+    def some_steps(self, count: int) -> list[int]:
+        """At most ``count`` evenly spaced measured steps of the runs."""
+        missing = set(self.bridged)
+        steps = [t for a, b in self.runs for t in range(a, b) if t not in missing]
+        return sorted({steps[i] for i in np.linspace(0, len(steps) - 1, count).astype(int)})
 
 
 def _spacing(array: xr.DataArray | xr.Dataset, name: str) -> float:

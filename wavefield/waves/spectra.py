@@ -19,9 +19,7 @@ from wavefield.variables import (
     annotate,
     density_units,
 )
-from wavefield.waves import kernels, rings
 from wavefield.waves.dof import (
-    keep_points,
     ring_freedom,
     with_interval,
 )
@@ -37,20 +35,14 @@ from wavefield.waves.inputs import (
 )
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record, filled_density
+from wavefield.waves.sums import Requested, segment_sums
 from wavefield.waves.welch import (
-    CELLS,
     MIN_OVER_FILLED,
-    Link,
-    TimeTransform,
     Welch,
     inner,
     interval,
     k_coords,
     omega_coords,
-    slabs,
-    some_nodes,
-    sum_segments,
-    transform_space,
 )
 
 Array = NDArray[Any]
@@ -71,26 +63,6 @@ def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
 def _name(field: xr.DataArray) -> str:
     """Return the name of a field (its ``long_name`` if it has one) for the attributes of its spectra."""
     return str(field.attrs.get("long_name", field.name))
-
-
-def _transform(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
-    """Transform half a segment of a field in space; return it as ``f``, (cells, steps). `link` is not used.
-    `blocks` holds that half segment as its only array, which is removed. If `memory` has an array ``f``, the
-    result is written into it."""
-    return {"f": transform_space(blocks.pop(), memory.get("f"))}
-
-
-def _add_powers(
-    sums: dict[str, Array], first: dict[str, Array], second: dict[str, Array], begin: int
-) -> None:
-    """Transform the segment made of the halves `first` and `second` in time, and add its power to `sums`.
-    ``sums["power"]`` is (cells, n). `begin` is not used."""
-    cells, half = first["f"].shape
-    power = np.zeros((cells, 2 * half), first["f"].real.dtype)
-    transform = TimeTransform(half, first["f"].dtype)
-    for slab in slabs(cells):
-        kernels.add_powers(transform(first["f"][slab], second["f"][slab]), power[slab])
-    sums["power"] = sums["power"] + power if "power" in sums else power
 
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
@@ -161,8 +133,8 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     1.0
     """
     welch = Welch.of(field, segment, record)
-    summed = sum_segments([field], welch.record, welch.segment, _transform, _add_powers).compute()
-    values = xr.Variable(("omega", "ky", "kx"), density(summed["power"], welch))
+    summed = segment_sums({"f": field}, Requested(("f",), planes=("f",)), welch)
+    values = xr.Variable(("omega", "ky", "kx"), density(summed["map f"], welch))
     out = plane_density(values, _name(field), field.attrs.get("units", "1"), welch)
     return keep_water(out, field)
 
@@ -184,51 +156,6 @@ def total(density: xr.DataArray) -> xr.DataArray:
         if name in density.dims:
             out = out.sum(name, dtype=np.float64) * float(density[name][1] - density[name][0])
     return out
-
-
-def _transform_and_points(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
-    """Return the spatial transform ``f`` of half a segment, and ``points``, the field at 16 nodes.
-    ``f`` is (cells, steps) and ``points`` (nodes, steps)."""
-    points = some_nodes(blocks[0])
-    return {"f": transform_space(blocks.pop(), memory.get("f")), "points": points}
-
-
-def _transform_and_nodes(blocks: list[Array], link: Link, memory: dict[str, Array]) -> dict[str, Array]:
-    """Return the arrays of `_transform_and_points`, and ``nodes``, the field at all nodes.
-    ``nodes`` is (pairs, steps): the values of two nodes are the real and imaginary parts of one number."""
-    flat = blocks[0].reshape(blocks[0].shape[0], -1)
-    pairs = np.ascontiguousarray(flat[:, : flat.shape[1] // 2 * 2])  # an odd node is left out
-    nodes = pairs.view(np.result_type(pairs.dtype, np.complex64)).T
-    return _transform_and_points(blocks, link, memory) | {"nodes": nodes}
-
-
-def _powers_of_nodes(first: Array, second: Array) -> Array:
-    """Return the power of a segment for omega >= 0, (n // 2 + 1,), from halves (pairs, steps)."""
-    half = first.shape[1]
-    transform, sums = TimeTransform(half, first.dtype), np.zeros((CELLS, 2 * half))
-    for slab in slabs(first.shape[0]):
-        kernels.add_powers(transform(first[slab], second[slab]), sums)
-    power = sums.sum(axis=0)
-    power[1:half] += power[:half:-1]
-    return np.asarray(power[: half + 1])
-
-
-def _add_ring_powers(
-    table: rings.Rings, sums: dict[str, Array], first: dict[str, Array], second: dict[str, Array], begin: int
-) -> None:
-    """Add the power of a segment, summed over the cells of each ring, to ``sums["f"]``.
-    The segment consists of the halves `first` and `second`, and begins at step `begin`. Fourier lines of its
-    ``points`` are added to `sums`, and the power of its ``nodes`` if it has them."""
-    cells, half = first["f"].shape
-    power = sums.setdefault("f", np.zeros((2, table.k.size, half + 1)))
-    transform = TimeTransform(half, first["f"].dtype)
-    for slab in slabs(cells):
-        lines = transform(first["f"][slab], second["f"][slab])
-        start = table.start[slab.start : slab.stop + 1]
-        kernels.ring_powers(lines, start, table.ring, table.weight, table.spread, power)
-    keep_points(sums, "f", first["points"], second["points"], begin)
-    if "nodes" in first:
-        sums["nodes"] = sums.get("nodes", 0) + _powers_of_nodes(first["nodes"], second["nodes"])
 
 
 @takes(a_field)
@@ -280,10 +207,8 @@ def komega(
     """
     welch = Welch.of(field, segment, record)
     table = welch.table
-    add_powers = partial(_add_ring_powers, table)
     # interpolated nodes near the edges are less accurate; only the spatial window gives them little weight
-    transform = _transform_and_points if welch.record.holes else _transform_and_nodes
-    summed = sum_segments([field], welch.record, welch.segment, transform, add_powers).compute()
+    summed = segment_sums({"f": field}, Requested(("f",), nodes=not welch.record.holes), welch)
     freedom = ring_freedom(summed, "f", welch)
     both = ("omega", "k")
     energy = xr.DataArray((summed["f"][0] * welch.ring_density).T, dims=both)
