@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypedDict, Unpack
+from typing import Any, Literal
 
 import dask
 import numpy as np
@@ -133,51 +133,31 @@ def one_pass(
     return vars(total) | {"scale": scale, "point_series": np.concatenate(total.points)}
 
 
-class AnalysisOptions(TypedDict, total=False):
-    """Options of an analysis, described in `wavefield.analyze`."""
-
-    probes: xr.Dataset | None
-    segment: int | None
-    depth: float | None
-    gain: str | Path | xr.Dataset | Literal[False] | None
-    current: tuple[float, float] | None
-
-
 def analyze(
     cube: xr.Dataset,
     *,
     progress: Progress | None = None,
     each: Each | None = None,
-    **options: Unpack[AnalysisOptions],
+    probes: xr.Dataset | None = None,
+    segment: int | None = None,
+    depth: float | None = None,
+    gain: str | Path | xr.Dataset | Literal[False] | None = None,
+    current: tuple[float, float] | None = None,
 ) -> xr.DataTree:
-    """Compute all wave products of a cube in memory or of a lazy cube.
+    """Compute all wave products of a cube, as `wavefield.analyze` does, without reading or writing stores.
 
     Parameters
     ----------
     cube : Dataset
         z, z_t, u, v, w over (time, y, x), m and m/s.
-    progress : callable, optional
-        Called with the number of parts done and of all parts.
-    each : callable, optional
-        ``each(work, items)`` calls ``work`` for every item on workers, as in `wavefield.analyze`.
-    **options
-        As in `wavefield.analyze`, which also opens stores and writes the result.
+    progress, each, probes, segment, depth, gain, current
+        As in `wavefield.analyze`.
 
     Returns
     -------
     DataTree
         One group for each kind of product.
-
-    Raises
-    ------
-    CubeError
-        If the cube lacks a variable, is shorter than a segment, has uneven steps, or has no
-        rectangle of nodes that are measured throughout.
     """
-    unknown = options.keys() - AnalysisOptions.__annotations__
-    if unknown:
-        raise TypeError(f"analyze() has no option {', '.join(sorted(unknown))}")
-    gain = options.get("gain")
     if not isinstance(cube, xr.Dataset):
         raise CubeError(f"analyze needs a cube, got {described(cube)}: give the cube itself")
     complete = with_stated(cube)
@@ -188,7 +168,7 @@ def analyze(
             )
     fields = validate(complete, *FIELDS)
     with np.errstate(all="ignore"):
-        depth, gamma = water_of(complete.attrs, options.get("depth"))
+        depth, gamma = water_of(complete.attrs, depth)
         given = {
             "cube": fields,
             "complete_cube": complete,
@@ -196,12 +176,12 @@ def analyze(
             "depth": depth,
             "gamma": gamma,
             "gain": gain_of(complete, gain),
-            "probes": options.get("probes"),
-            "given_current": options.get("current"),
+            "probes": probes,
+            "given_current": current,
         }
         status = {name: complete[name] for name in ("frame_status", "quality") if name in complete}
         record = find_record(fields.assign(status), each=each)
-        return _analyze(given, record, options.get("segment"), progress)
+        return _analyze(given, record, segment, progress)
 
 
 def _analyze(

@@ -86,4 +86,4 @@ def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> C
     return CurrentUsed(given or (0.0, 0.0), (np.nan, np.nan), GIVEN if given else NO_CURRENT, reason)
 
 
-register(WaveProduct("current", ("dispersion_fit", "given_current"), current_used))
+register(WaveProduct("current", ("dispersion", "given_current"), current_used))

@@ -277,13 +277,13 @@ def above_noise(
     spectrum = PlaneSpectrum.of(density, water)
     frequency = found["frequency"].values
     centres = wavenumber(2 * np.pi * frequency, *water)
-    plane, omega = spectrum.plane, spectrum.omega
-    cells = np.flatnonzero(plane.k < SHORTEST_WAVES * _largest_k(density))
-    shift = current[0] * plane.kx[cells] + current[1] * plane.ky[cells]
+    omega = spectrum.omega
+    cells = np.flatnonzero(spectrum.k < SHORTEST_WAVES * _largest_k(density))
+    shift = current[0] * spectrum.kx[cells] + current[1] * spectrum.ky[cells]
     out = centres <= SHORTEST_WAVES * _largest_k(density)
     for i in np.flatnonzero(out):
-        half_width = max(HALF_WIDTH * centres[i], MIN_HALF_WIDTH * plane.cell)
-        ring = np.abs(plane.k[cells] - centres[i]) < half_width
+        half_width = max(HALF_WIDTH * centres[i], MIN_HALF_WIDTH * spectrum.cell)
+        ring = np.abs(spectrum.k[cells] - centres[i]) < half_width
         line = np.rint((2 * np.pi * frequency[i] + shift[ring]) / omega[1]).astype(int)
         inside = (line >= 0) & (line < omega.size)
         at = line[inside], cells[ring][inside]

@@ -19,12 +19,13 @@ from wavefield.waves.dispersion_points import (
     PlaneSpectrum,
     RelationPoints,
     Water,
-    WindowDisplacement,
     centroids,
     contrast,
     fraction,
     scan_current,
     sectors_of,
+    undisplaced,
+    window_displacement,
 )
 from wavefield.waves.inputs import takes
 from wavefield.waves.products import Noted, WaveProduct, register
@@ -173,24 +174,24 @@ def fit_dispersion(
     """
     density, water = density.compute(), (depth, gamma)
     spectrum = PlaneSpectrum.of(density, water)
-    omega, plane = spectrum.omega, spectrum.plane
-    limits = float(dispersion(MIN_CELLS_FROM_ZERO * plane.cell, depth)), 0.97 * omega[-1]
+    omega = spectrum.omega
+    limits = float(dispersion(MIN_CELLS_FROM_ZERO * spectrum.cell, depth)), 0.97 * omega[-1]
     in_band = (omega >= limits[0]) & (omega <= limits[1])
     band = spectrum.on_lines(in_band)
     fit = scan_current(band)
-    sectors = sectors_of(plane, SECTORS)
+    sectors = sectors_of(spectrum, SECTORS)
     for correction in range(MAX_ROUNDS):
         before = fit
         measured = _refuse_few(centroids(band, sectors, fit), limits)
-        windows = WindowDisplacement.measure(spectrum, in_band, sectors, fit)
-        points = _refuse_few(windows.removed_from(measured), limits)
+        windows = window_displacement(spectrum, in_band, sectors, fit)
+        points = _refuse_few(undisplaced(measured, windows), limits)
         fit = solve(points, water, fit)
         change = fit - before
         if correction > 0 and np.hypot(*change) < CONVERGED:
             break
     contrast_of_fit = _check_fit(spectrum, points, fit, limits)
 
-    by_leakage = solve(windows.removed_from(measured, 1 - LEAKAGE_ERROR), water, fit) - fit
+    by_leakage = solve(undisplaced(measured, windows, 1 - LEAKAGE_ERROR), water, fit) - fit
     by_tension = solve(points, (depth, (1 + TENSION_ERROR) * gamma), fit) - fit
     # the fraction 1 / contrast of the energy near the relation is noise
     std = np.sqrt(np.diag(covariance_of(points, water, fit))) / (1 - 1 / contrast_of_fit)
@@ -230,7 +231,7 @@ def _check_fit(
     between = _between(limits)
     best = f"{fit[0]:.2f}, {fit[1]:.2f} m/s"
     # windows spread a wave over more than a cell of the k plane: for long waves, that is not an error
-    least_k = spectrum.plane.cell / MAX_RELATIVE_DISTANCE
+    least_k = spectrum.cell / MAX_RELATIVE_DISTANCE
     relative = distance_from_relation(points, spectrum.water, fit) / np.maximum(points.k, least_k)
     distance = float(np.sqrt(np.average(relative**2, weights=1 / points.k_std**2)))
     if distance > MAX_RELATIVE_DISTANCE:
@@ -270,19 +271,11 @@ def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float
     return annotate(out.assign(theory.data_vars).assign_coords(theory.coords), "dispersion")
 
 
-def _dispersion_fit(density: xr.DataArray, welch: Welch, depth: float, gamma: float) -> xr.Dataset:
-    """Return `dispersion_group` at the wavenumbers of an analysis."""
-    return dispersion_group(density, welch.table.k, depth, gamma)
-
-
-def _dispersion(fit: xr.Dataset) -> xr.Dataset | Noted:
+def _group(density: xr.DataArray, welch: Welch, depth: float, gamma: float) -> Noted:
     """Return the group `dispersion` of `analyze`; if `fit_dispersion` failed, with a note that says why."""
-    if "refused" not in fit.attrs:
-        return fit
-    return Noted(fit, [f"The dispersion relation was not fitted: {fit.attrs['refused']}."])
+    fit = dispersion_group(density, welch.table.k, depth, gamma)
+    refused = fit.attrs.get("refused")
+    return Noted(fit, [f"The dispersion relation was not fitted: {refused}."] if refused else [])
 
 
-register(
-    WaveProduct("dispersion_fit", ("density_w", "welch", "depth", "gamma"), _dispersion_fit, cost=3),
-    WaveProduct("dispersion", ("dispersion_fit",), _dispersion, group="dispersion"),
-)
+register(WaveProduct("dispersion", ("density_w", "welch", "depth", "gamma"), _group, "dispersion", cost=3))

@@ -4,6 +4,7 @@ A line is one frequency of a spectrum. The argument `current` is always an array
 """
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -28,65 +29,69 @@ RING_CELLS = 1.5  # chosen: width, in cells, of the rings in which the noise is 
 
 
 @dataclass(frozen=True)
-class WavenumberPlane:
-    """Cells of the k plane, with kx, ky, k and angle as arrays (cells,)."""
-
-    kx: Array  # (cells,), rad/m
-    ky: Array
-    k: Array  # modulus
-    angle: Array  # of k, counted from the x axis, rad
-    cell: float  # larger side of a cell, rad/m
-    spread: float  # variance in k of a single wave under the Hann window, (rad/m)^2
-    nyquist: float  # smaller Nyquist wavenumber of the two axes, rad/m
-    axes: tuple[Array, Array]  # ky and kx of the grid
-
-    @classmethod
-    def of(cls, density: xr.DataArray) -> "WavenumberPlane":
-        """Return the k plane of a spectrum E(omega, ky, kx)."""
-        axes = density["ky"].values, density["kx"].values
-        ky, kx = np.meshgrid(*axes, indexing="ij")
-        cells = [float(axis[1] - axis[0]) for axis in axes]
-        # the Hann window broadens a wave with weights 1, 4, 1, whose variance is a third of a cell squared;
-        # across the wave vector, this increases |k| by spread / 2k on average
-        spread = float(np.mean(np.square(cells))) / 3
-        k, angle = np.hypot(kx, ky).ravel(), np.arctan2(ky, kx).ravel()
-        nyquist = min(abs(float(axis.min())) for axis in axes)
-        return cls(kx.ravel(), ky.ravel(), k, angle, max(cells), spread, nyquist, axes)
-
-
-@dataclass(frozen=True)
 class PlaneSpectrum:
     """Energy and noise of a spectrum at each line (frequency) and cell of the k plane."""
 
     omega: Array  # (lines,), rad/s
     energy: Array  # (lines, cells)
+    axes: tuple[Array, Array]  # ky and kx of the grid, rad/m
+    water: Water
     noise: Array  # (lines, cells)
-    plane: WavenumberPlane
-    water: Water  # depth, m, and surface tension over density, m3 s-2
 
     @classmethod
     def of(cls, density: xr.DataArray, water: Water) -> "PlaneSpectrum":
-        """Return a spectrum E(omega, ky, kx) with its estimated noise.
-        `water` holds the depth, m, and the surface tension over density, m3/s2."""
-        omega, plane = density["omega"].values, WavenumberPlane.of(density)
+        """Return a spectrum E(omega, ky, kx) with its estimated noise."""
+        omega, ky, kx = (density[name].values for name in ("omega", "ky", "kx"))
         energy = density.values.reshape(omega.size, -1)
+        out = cls(omega, energy, (ky, kx), water, np.zeros(energy.shape, np.float32))
         least = np.float32(LEAST_NOISE * energy.mean(dtype=float))
-        return cls(omega, energy, np.maximum(noise_level(energy, plane), least), plane, water)
+        return replace(out, noise=np.maximum(noise_level(out), least))
 
     def on_lines(self, chosen: Array) -> "PlaneSpectrum":
         """Return the spectrum at some frequencies; `chosen` is a boolean array (lines,)."""
         return replace(self, omega=self.omega[chosen], energy=self.energy[chosen], noise=self.noise[chosen])
 
+    @cached_property
+    def kx(self) -> Array:
+        """kx of the cells, (cells,), rad/m."""
+        return np.tile(self.axes[1], self.axes[0].size)
 
-def noise_level(energy: Array, plane: WavenumberPlane) -> Array:
+    @cached_property
+    def ky(self) -> Array:
+        """ky of the cells, (cells,), rad/m."""
+        return np.repeat(self.axes[0], self.axes[1].size)
+
+    @cached_property
+    def k(self) -> Array:
+        """Wavenumber of the cells, (cells,), rad/m."""
+        return np.hypot(self.kx, self.ky)
+
+    @cached_property
+    def angle(self) -> Array:
+        """Angle of k of the cells, counted from the x axis, (cells,), rad."""
+        return np.arctan2(self.ky, self.kx)
+
+    @property
+    def sides(self) -> Array:
+        """Sides of a cell along ky and kx, rad/m."""
+        return np.array([axis[1] - axis[0] for axis in self.axes])
+
+    @property
+    def cell(self) -> float:
+        """Larger side of a cell, rad/m."""
+        return float(self.sides.max())
+
+
+def noise_level(spectrum: PlaneSpectrum) -> Array:
     """Return the noise of a spectrum, (lines, cells): a function of omega times a function of |k|.
     Noise is independent in time and correlated over a matching window in space, so its spectrum factorises.
     """
-    outer = plane.k > SHORTEST_WAVES * plane.nyquist
+    energy, k = spectrum.energy, spectrum.k
+    outer = k > SHORTEST_WAVES * min(abs(float(axis.min())) for axis in spectrum.axes)
     if not outer.any():
         return np.zeros(energy.shape, np.float32)
     along_omega = np.median(energy[:, outer], axis=1)
-    ring = np.floor(plane.k / (RING_CELLS * plane.cell)).astype(int)
+    ring = np.floor(k / (RING_CELLS * spectrum.cell)).astype(int)
     ring = np.minimum(ring, ring[outer].min())  # the shortest waves are one ring
     # mean of each ring relative to that, robust against the few lines with free waves
     units = np.where(along_omega > 0, along_omega, np.inf)[:, None]
@@ -117,17 +122,16 @@ def scan_current(spectrum: PlaneSpectrum) -> Array:
     """Return the current (2,), to 0.02 m/s, with the dispersion relation that contains the most energy.
     In this Hough transform, each cell votes for the component (omega -+ sigma(k)) / k of the current along k.
     """
-    plane, omega = spectrum.plane, spectrum.omega
-    used = plane.k > MIN_CELLS_FROM_ZERO * plane.cell
-    used &= plane.k < 0.9 * plane.k[plane.ky == 0].max()
-    k = plane.k[used]
-    sector = np.rint(plane.angle[used] / (2 * np.pi) * VOTING_SECTORS).astype(int) % VOTING_SECTORS
+    used = spectrum.k > MIN_CELLS_FROM_ZERO * spectrum.cell
+    used &= spectrum.k < 0.9 * spectrum.k[spectrum.ky == 0].max()
+    k = spectrum.k[used]
+    sector = np.rint(spectrum.angle[used] / (2 * np.pi) * VOTING_SECTORS).astype(int) % VOTING_SECTORS
     bins = round(2 * MAX_SPEED / SPEED_STEP) + 1
     histogram = np.zeros(VOTING_SECTORS * bins)
     # omega + sigma is for waves that the current carries backwards
     sigma = dispersion(k, *spectrum.water)
     # a vote is the energy above the noise, relative to its line, times k: short waves determine U better
-    for line_omega, energy, noise in zip(omega, spectrum.energy, spectrum.noise):
+    for line_omega, energy, noise in zip(spectrum.omega, spectrum.energy, spectrum.noise):
         weight = np.maximum(energy[used] - 3 * noise[used], 0.0)
         total = weight.sum() + noise[used].sum()
         if not total > 0:
@@ -153,11 +157,11 @@ def scan_current(spectrum: PlaneSpectrum) -> Array:
 def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
     """Return a mask (lines, cells): true near the dispersion relation on a current.
     Near means within the distance in omega that corresponds to two cells in k and two lines in omega."""
-    omega, plane = spectrum.omega, spectrum.plane
-    free = dispersion(plane.k, *spectrum.water) + current[0] * plane.kx + current[1] * plane.ky
-    slope = np.abs(group_velocity(np.maximum(plane.k, plane.cell), *spectrum.water))
+    omega, k, cell = spectrum.omega, spectrum.k, spectrum.cell
+    free = dispersion(k, *spectrum.water) + current[0] * spectrum.kx + current[1] * spectrum.ky
+    slope = np.abs(group_velocity(np.maximum(k, cell), *spectrum.water))
     slope += np.hypot(current[0], current[1])
-    reach = 2 * plane.cell * slope + 2 * abs(omega[1] - omega[0])
+    reach = 2 * cell * slope + 2 * abs(omega[1] - omega[0])
     return np.asarray(np.abs(omega[:, None] - free) < reach)
 
 
@@ -165,7 +169,7 @@ def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
     """Return the ratio of the energy near the relation to that of the same cells at other frequencies.
     White noise gives about 1. `lines` is a mask of the frequencies that are used."""
     near = _near_relation(spectrum, current)[lines]
-    near[:, spectrum.plane.k < MIN_CELLS_FROM_ZERO * spectrum.plane.cell] = False
+    near[:, spectrum.k < MIN_CELLS_FROM_ZERO * spectrum.cell] = False
     energy = spectrum.energy[lines]
     on, count = (energy * near).sum(axis=0, dtype=float), near.sum(axis=0)
     on_both = (count > 0) & (count < near.shape[0])
@@ -192,7 +196,7 @@ def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
     """Return the spectrum (lines, cells) of simulated free waves, broadened by Hann windows.
     A deconvolution finds the energies of four waves per cell that give the measured energy above the noise.
     """
-    near, ky, kx = _near_relation(spectrum, current), *spectrum.plane.axes
+    near, ky, kx = _near_relation(spectrum, current), *spectrum.axes
     shape = spectrum.omega.size, ky.size, kx.size
 
     def on_relation(energy: Array) -> Array:
@@ -281,7 +285,7 @@ class Sector:
     heading: Array  # (2, cells), cosine and sine of the angle
 
 
-def sectors_of(plane: WavenumberPlane, count: int) -> list[Sector]:
+def sectors_of(plane: PlaneSpectrum, count: int) -> list[Sector]:
     """Return `count` sectors of equal width, the first around the direction of kx, each with its cells."""
     out = []
     half_width = np.pi / count
@@ -297,16 +301,19 @@ def sectors_of(plane: WavenumberPlane, count: int) -> list[Sector]:
 def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) -> RelationPoints:
     """Return the centroids in k of the energy above the noise near the relation, per frequency and sector.
     Windows with few cells or a signal-to-noise ratio below 1, and centroids outside them, give no point."""
-    plane, omega, water = spectrum.plane, spectrum.omega, spectrum.water
-    k_table = np.linspace(0.1, 1.2 * plane.k.max(), 4000)
+    omega, water = spectrum.omega, spectrum.water
+    k_table = np.linspace(0.1, 1.2 * spectrum.k.max(), 4000)
     free = dispersion(k_table, *water)
     speed = np.gradient(free, k_table)
-    largest_k = SHORTEST_WAVES * min(plane.kx.max(), plane.ky.max())
+    largest_k = SHORTEST_WAVES * min(spectrum.kx.max(), spectrum.ky.max())
+    # the Hann window broadens a wave with weights 1, 4, 1, whose variance is a third of a cell squared;
+    # across the wave vector, this increases |k| by spread / 2k on average
+    spread = float(np.mean(np.square(spectrum.sides))) / 3
     parts = []
     for number, sector in enumerate(sectors):
         along = current[0] * np.cos(sector.theta) + current[1] * np.sin(sector.theta)
         centres = _relation_in_k(omega, k_table, free, speed, along)
-        reach = np.maximum(HALF_WIDTH * centres, MIN_HALF_WIDTH * plane.cell)
+        reach = np.maximum(HALF_WIDTH * centres, MIN_HALF_WIDTH * spectrum.cell)
         known = np.isfinite(centres)
         middle, reach = np.where(known, centres, 0.0), np.where(known, reach, 0.0)
         first = np.searchsorted(sector.k, middle - reach, "right")
@@ -328,7 +335,7 @@ def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) ->
         k = weight_k / weight
         second_moment = square_k2 - 2 * k * square_k + k**2 * square
         k_std = np.sqrt(CELL_VARIANCE * np.maximum(second_moment, 0)) / weight
-        k -= plane.spread / (2 * k)
+        k -= spread / (2 * k)
         key = np.flatnonzero(usable) * len(sectors) + number
         signal_to_noise = weight / np.maximum(noise, 1e-9 * weight)
         angle = np.arctan2(sine, cosine)
@@ -338,7 +345,7 @@ def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) ->
     names = [field.name for field in fields(RelationPoints)]
     points = RelationPoints(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
     strongest = _strongest_sector(points)
-    leakage = CENTROID_ERROR * plane.cell * np.sqrt(strongest / points.energy)
+    leakage = CENTROID_ERROR * spectrum.cell * np.sqrt(strongest / points.energy)
     return replace(points, k_std=np.hypot(points.k_std, leakage))
 
 
@@ -363,40 +370,27 @@ def _strongest_sector(points: RelationPoints) -> Array:
     return np.asarray(ndimage.maximum_filter1d(top, 3)[line])
 
 
-@dataclass(frozen=True)
-class WindowDisplacement:
-    """Displacement in k of the centroids by the Hann windows of the spectrum; arrays are (points,)."""
+def window_displacement(
+    spectrum: PlaneSpectrum, band: Array, sectors: list[Sector], current: Array
+) -> tuple[Array, Array]:
+    """Return the keys of points and the displacement of their k by the Hann windows, rad/m, each (points,).
+    It is measured on simulated free waves on the relation on `current`. Points with a large displacement are
+    left out: they are beyond the end of the sea, in leakage alone."""
+    free_waves = windowed_waves(spectrum, current)[band]
+    simulated = replace(spectrum.on_lines(band), energy=free_waves, noise=np.zeros_like(free_waves))
+    points = centroids(simulated, sectors, current)
+    along = points.along(current)
+    off = points.omega - dispersion(points.k, *spectrum.water) - points.k * along
+    displacement = -off / (group_velocity(points.k, *spectrum.water) + along)
+    near = np.abs(displacement) < MAX_DISPLACEMENT * spectrum.cell
+    return points.key[near], displacement[near]
 
-    key: Array  # as in `RelationPoints`
-    k: Array  # displacement, rad/m
 
-    @classmethod
-    def measure(
-        cls,
-        spectrum: PlaneSpectrum,
-        band: Array,
-        sectors: list[Sector],
-        current: Array,
-    ) -> "WindowDisplacement":
-        """Return the displacement, measured on simulated free waves on the relation on `current`.
-        Points with a large displacement are left out: they are beyond the end of the sea, in leakage alone.
-        """
-        free_waves = windowed_waves(spectrum, current)[band]
-        simulated = replace(
-            spectrum, omega=spectrum.omega[band], energy=free_waves, noise=np.zeros_like(free_waves)
-        )
-        points = centroids(simulated, sectors, current)
-        along = points.along(current)
-        off = points.omega - dispersion(points.k, *spectrum.water) - points.k * along
-        displacement = -off / (group_velocity(points.k, *spectrum.water) + along)
-        near = np.abs(displacement) < MAX_DISPLACEMENT * spectrum.plane.cell
-        return cls(points.key[near], displacement[near])
-
-    def removed_from(self, points: RelationPoints, part: float = 1.0) -> RelationPoints:
-        """Return the points with `part` of the displacement subtracted from their k.
-        Points without a measured displacement are left out."""
-        _, measured, simulated = np.intersect1d(points.key, self.key, assume_unique=True, return_indices=True)
-        points, displacement = points[measured], self.k[simulated]
-        k_std = np.hypot(points.k_std, LEAKAGE_ERROR * displacement)
-        points = replace(points, k=points.k - part * displacement, k_std=k_std)
-        return points[points.k > 0]
+def undisplaced(points: RelationPoints, by: tuple[Array, Array], part: float = 1.0) -> RelationPoints:
+    """Return the points with `part` of the result `by` of `window_displacement` subtracted from their k.
+    Points without a measured displacement are left out."""
+    _, measured, simulated = np.intersect1d(points.key, by[0], assume_unique=True, return_indices=True)
+    points, displacement = points[measured], by[1][simulated]
+    k_std = np.hypot(points.k_std, LEAKAGE_ERROR * displacement)
+    points = replace(points, k=points.k - part * displacement, k_std=k_std)
+    return points[points.k > 0]
