@@ -12,12 +12,7 @@ from wavefield.waves.moments import statistics
 from wavefield.waves.motion import kinematics
 from wavefield.waves.phases import phase_average
 from wavefield.waves.record import Record, find_record
-from wavefield.waves.spectra import (
-    E_k,
-    E_omega,
-    komega,
-    spectrum,
-)
+from wavefield.waves.spectra import E_k, E_omega, komega, spectrum
 
 __all__ = [
     "E_k",

@@ -11,25 +11,14 @@ from numpy.typing import NDArray
 from wavefield.errors import CubeError
 from wavefield.variables import annotate, validate
 from wavefield.waves.current import delayed_current
-from wavefield.waves.dof import (
-    independent_samples,
-    of_products,
-    ring_freedom,
-    with_interval,
-)
+from wavefield.waves.dof import independent_samples, of_products, ring_freedom, with_interval
 from wavefield.waves.gains import MIN_SIGNAL_TO_NOISE, correction, with_directions
 from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import E_k, E_omega
 from wavefield.waves.sums import NAMES, Requested, segment_sums, sources, transforms
-from wavefield.waves.welch import (
-    CHANCE,
-    Reader,
-    Welch,
-    k_coords,
-    omega_coords,
-)
+from wavefield.waves.welch import CHANCE, Reader, Welch, k_coords, omega_coords
 
 Array = NDArray[Any]
 

@@ -350,12 +350,7 @@ def _directions(
 
 
 def _label(
-    frequency: Array,
-    centres: Array,
-    levels: Array,
-    degrees: Array,
-    cells: tuple[float, float],
-    stds: Array,
+    frequency: Array, centres: Array, levels: Array, degrees: Array, cells: tuple[float, float], stds: Array
 ) -> xr.Dataset:
     """Return the Dataset of `directions` from the energies `levels` (frequency, sectors), without ``efth``.
     `centres` (frequency,) are wavenumbers, `cells` the sides of a cell along ky and kx, all in rad/m."""
@@ -422,5 +417,5 @@ register(
         group="direction",
         without="No directions",
         cost=3,
-    ),
+    )
 )

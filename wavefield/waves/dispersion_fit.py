@@ -104,12 +104,7 @@ CONVERGED = 3e-4  # m/s, chosen: the rounds stop at a smaller change of the curr
 
 
 @takes(plane_of("w"))
-def fit_dispersion(
-    density: xr.DataArray,
-    depth: float = np.inf,
-    *,
-    gamma: float = GAMMA,
-) -> xr.Dataset:
+def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float = GAMMA) -> xr.Dataset:
     """Fit the current to the dispersion relation of the waves in E(omega, ky, kx).
 
     Parameters

@@ -35,13 +35,7 @@ from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import density, plane_density
 from wavefield.waves.sums import MIN_AMPLITUDE, Requested, segment_sums
-from wavefield.waves.welch import (
-    MIN_OVER_FILLED,
-    Welch,
-    inner,
-    k_coords,
-    omega_coords,
-)
+from wavefield.waves.welch import MIN_OVER_FILLED, Welch, inner, k_coords, omega_coords
 
 Array = NDArray[Any]
 

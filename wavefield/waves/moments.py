@@ -259,12 +259,7 @@ def _moments(sums: Mapping[str, Array], scales: Scales, welch: Welch) -> xr.Data
 
 
 def _statistics_group(
-    moments: xr.Dataset,
-    fused: xr.Dataset,
-    spectra: xr.Dataset,
-    welch: Welch,
-    depth: float,
-    gamma: float,
+    moments: xr.Dataset, fused: xr.Dataset, spectra: xr.Dataset, welch: Welch, depth: float, gamma: float
 ) -> Noted:
     """Return the group `statistics` of an analysis, with notes on outliers and on a short record."""
     notes = []

@@ -142,11 +142,7 @@ def kinematics_at(snapshot: xr.Dataset) -> xr.Dataset:
 
 
 def balance(
-    fields: Mapping[str, Array],
-    i: int,
-    dy: float,
-    dx: float,
-    current: tuple[float, float] = (0.0, 0.0),
+    fields: Mapping[str, Array], i: int, dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, float]:
     """Return the rms over the nodes of step i of the terms of the kinematic condition, by name."""
     step = {name: fields[name][i].astype(float) for name in FIELDS}

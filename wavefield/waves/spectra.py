@@ -12,17 +12,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from wavefield.errors import CubeError
-from wavefield.variables import (
-    FIELD_TEXTS,
-    FIELD_UNITS,
-    TABLE,
-    annotate,
-    density_units,
-)
-from wavefield.waves.dof import (
-    ring_freedom,
-    with_interval,
-)
+from wavefield.variables import FIELD_TEXTS, FIELD_UNITS, TABLE, annotate, density_units
+from wavefield.waves.dof import ring_freedom, with_interval
 from wavefield.waves.inputs import (
     Convert,
     a_field,
@@ -36,14 +27,7 @@ from wavefield.waves.inputs import (
 from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record, filled_density
 from wavefield.waves.sums import Requested, segment_sums
-from wavefield.waves.welch import (
-    MIN_OVER_FILLED,
-    Welch,
-    inner,
-    interval,
-    k_coords,
-    omega_coords,
-)
+from wavefield.waves.welch import MIN_OVER_FILLED, Welch, inner, interval, k_coords, omega_coords
 
 Array = NDArray[Any]
 
@@ -159,12 +143,7 @@ def total(density: xr.DataArray) -> xr.DataArray:
 
 
 @takes(a_field)
-def komega(
-    field: xr.DataArray,
-    *,
-    segment: int | None = None,
-    record: Record | None = None,
-) -> xr.Dataset:
+def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | None = None) -> xr.Dataset:
     """Spectrum E(k, omega): the power spectrum integrated over the angle of the wave vector.
 
     Parameters

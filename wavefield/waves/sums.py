@@ -67,10 +67,7 @@ def advected(fields: Mapping[str, Array], welch: Welch) -> dict[str, Array]:
 
 
 def transforms(
-    fields: dict[str, Array],
-    requested: Requested,
-    welch: Welch,
-    memory: Mapping[str, Array] | None = None,
+    fields: dict[str, Array], requested: Requested, welch: Welch, memory: Mapping[str, Array] | None = None
 ) -> dict[str, Array]:
     """Return the spatial transforms (cells, steps) of the quantities in half a segment, by name.
     "points <name>" (nodes, steps) holds values at 16 nodes, and "nodes" (pairs, steps) those at all nodes, of

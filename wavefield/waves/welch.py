@@ -15,14 +15,7 @@ from wavefield.errors import CubeError
 from wavefield.variables import INSTANTANEOUS
 from wavefield.water import WATER, water_of
 from wavefield.waves import kernels, rings
-from wavefield.waves.record import (
-    FILL_MARGIN,
-    STEPS_PER_READ,
-    Record,
-    fill,
-    find_record,
-    piece,
-)
+from wavefield.waves.record import FILL_MARGIN, STEPS_PER_READ, Record, fill, find_record, piece
 
 DEFAULT_SEGMENT = 512  # steps, 25.6 s at 20 Hz: lines .04 Hz apart; chosen
 MAIN_LOBE = 2  # lines or cells, half the width of the main lobe of a Hann window
@@ -334,10 +327,7 @@ class Welch:
 
     @classmethod
     def of(
-        cls,
-        fields: xr.DataArray | xr.Dataset,
-        segment: int | None = None,
-        record: Record | None = None,
+        cls, fields: xr.DataArray | xr.Dataset, segment: int | None = None, record: Record | None = None
     ) -> "Welch":
         """Return the estimator for fields over (time, y, x), whose record and segment it finds by default."""
         record = find_record(fields) if record is None else record
