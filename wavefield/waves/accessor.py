@@ -24,11 +24,8 @@ class WavesAccessor:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> rng = np.random.default_rng(0)
-    >>> axes = {"time": np.arange(128) * 0.05, "y": np.arange(24) * 0.05, "x": np.arange(32) * 0.05}
-    >>> cube = xr.Dataset({"w": (tuple(axes), rng.standard_normal((128, 24, 32)))}, axes)
-    >>> cube.waves.spectrum("w", segment=64).E.dims
+    >>> import wavefield as wf
+    >>> wf.open_cube("sea.zarr").waves.spectrum("w").E.dims
     ('omega', 'ky', 'kx')
     """
 

@@ -220,11 +220,8 @@ def directions(
 
     Examples
     --------
-    >>> rng = np.random.default_rng(0)
-    >>> axes = {"time": np.arange(256) * 0.05, "y": np.arange(32) * 0.05, "x": np.arange(40) * 0.05}
-    >>> w = 0.01 * rng.standard_normal((256, 32, 40))
-    >>> cube = xr.Dataset({"w": (("time", "y", "x"), w)}, axes, {"water_depth": 0.7})
-    >>> found = directions(cube, current=(0.0, 0.0))
+    >>> import wavefield as wf
+    >>> found = wf.directions(wf.open_cube("sea.zarr"), [1.8, 2.2])
     >>> found.D.dims, found.efth.dims
     (('frequency', 'theta'), ('freq', 'dir'))
     """

@@ -88,10 +88,10 @@ def structure_functions(field: xr.DataArray, *, differences: int = 1) -> xr.Data
 
     Examples
     --------
-    >>> rng = np.random.default_rng(0)
-    >>> axes = {"time": np.arange(256) * 0.05, "y": np.arange(20) * 0.02, "x": np.arange(20) * 0.02}
-    >>> noise = xr.DataArray(rng.standard_normal((256, 20, 20)), axes, ("time", "y", "x"))
-    >>> found = structure_functions(noise)
+    The waves of linear theory are Gaussian.
+
+    >>> import wavefield as wf
+    >>> found = wf.structure_functions(wf.open_cube("sea.zarr").z)
     >>> bool(abs(found.flatness_x - 3).max() < 0.2)
     True
     """

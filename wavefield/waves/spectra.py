@@ -88,8 +88,8 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     Returns
     -------
     Dataset
-        ``E`` (omega, ky, kx), in the field's units squared per (rad/m)^2 and rad/s; its degrees of freedom
-        ``dof``. ``low`` and ``high`` times E are the limits of the 95 % interval.
+        ``E`` (omega, ky, kx), in the field's units squared per (rad/m)^2 and rad/s; its degrees of
+        freedom ``dof``; ``low`` and ``high``, factors from E to the limits of its 95 % interval.
 
     Raises
     ------
@@ -104,17 +104,13 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
 
     Examples
     --------
-    A wave of amplitude a = 1 cm along x has the variance a^2 / 2.
+    The integral of a spectrum is about the variance of its field.
 
-    >>> t, y, x = np.arange(128) * 0.05, np.arange(32) * 0.05, np.arange(40) * 0.05
-    >>> wave = 0.01 * np.cos(12.3 * x - 10.98 * t[:, None, None] + 0 * y[:, None])
-    >>> z = xr.DataArray(wave, {"time": t, "y": y, "x": x}, ("time", "y", "x"), attrs={"units": "m"})
-    >>> E = spectrum(z).E
-    >>> peak = E.isel(E.argmax(...))
-    >>> round(float(peak.kx)), round(float(peak.omega))
-    (13, 12)
-    >>> round(float(total(E) / (0.01**2 / 2)), 2)
-    1.0
+    >>> import wavefield as wf
+    >>> z = wf.open_cube("sea.zarr").z
+    >>> E = wf.spectrum(z).E
+    >>> E.dims, round(float(total(E) / z.var()), 1)
+    (('omega', 'ky', 'kx'), 1.0)
     """
     welch = Welch.of(field, segment, record)
     summed = segment_sums({"f": field}, Requested(("f",), planes=("f",)), welch)
@@ -153,8 +149,8 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
     segment : int, optional
         Steps of a Welch segment; by default chosen from the record.
     record : Record, optional
-        Rectangle of nodes and uninterrupted runs of steps (`find_record`). By default it is found from the
-        field, which is then read twice.
+        Rectangle of nodes and uninterrupted runs of steps, by default from `find_record`, which reads the
+        field.
 
     Returns
     -------
@@ -177,11 +173,9 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
 
     Examples
     --------
-    >>> rng = np.random.default_rng(0)
-    >>> axes = {"time": np.arange(256) * 0.05, "y": np.arange(24) * 0.05, "x": np.arange(32) * 0.05}
-    >>> w = xr.DataArray(rng.standard_normal((256, 24, 32)), axes, ("time", "y", "x"))
-    >>> E = komega(w, segment=64)
-    >>> E.E.dims, int(E.segments)
+    >>> import wavefield as wf
+    >>> found = wf.komega(wf.open_cube("sea.zarr").w)
+    >>> found.E.dims, int(found.segments)
     (('omega', 'k'), 7)
     """
     welch = Welch.of(field, segment, record)
@@ -243,10 +237,8 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
 
     Examples
     --------
-    >>> rng = np.random.default_rng(0)
-    >>> axes = {"time": np.arange(256) * 0.05, "y": np.arange(24) * 0.05, "x": np.arange(32) * 0.05}
-    >>> w = xr.DataArray(rng.standard_normal((256, 24, 32)), axes, ("time", "y", "x"))
-    >>> E_omega(w).E.dims
+    >>> import wavefield as wf
+    >>> wf.E_omega(wf.open_cube("sea.zarr").w).E.dims
     ('omega',)
     """
     step = float(field["k"][1] - field["k"][0])
@@ -284,10 +276,8 @@ def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
 
     Examples
     --------
-    >>> rng = np.random.default_rng(0)
-    >>> axes = {"time": np.arange(256) * 0.05, "y": np.arange(24) * 0.05, "x": np.arange(32) * 0.05}
-    >>> w = xr.DataArray(rng.standard_normal((256, 24, 32)), axes, ("time", "y", "x"))
-    >>> E_k(w).E.dims
+    >>> import wavefield as wf
+    >>> wf.E_k(wf.open_cube("sea.zarr").w).E.dims
     ('k',)
     """
     step = float(field["omega"][1] - field["omega"][0])
