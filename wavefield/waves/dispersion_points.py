@@ -4,7 +4,6 @@ A line is one frequency of a spectrum. The argument `current` is always an array
 """
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -19,6 +18,7 @@ from wavefield.waves.welch import REACH, hann_power, richardson_lucy
 
 Array = NDArray[Any]
 Water = tuple[float, float]  # depth, m; surface tension over density, m3 s-2
+Sectors = list[tuple[float, Array]]  # direction of each sector and its cells of the k plane, sorted by k
 
 MIN_CELLS_FROM_ZERO = 2.5  # smallest k, in cells of the k plane: below, the window mixes waves k and -k
 SHORTEST_WAVES = 0.8  # largest k, relative to that of the grid: shorter waves are weak, sectors incomplete
@@ -34,64 +34,41 @@ class PlaneSpectrum:
 
     omega: Array  # (lines,), rad/s
     energy: Array  # (lines, cells)
-    axes: tuple[Array, Array]  # ky and kx of the grid, rad/m
-    water: Water
     noise: Array  # (lines, cells)
+    kx: Array  # (cells,), rad/m
+    ky: Array
+    k: Array  # wavenumber of the cells
+    angle: Array  # of k, counted from the x axis, rad
+    axes: tuple[Array, Array]  # ky and kx of the grid, rad/m
+    sides: Array  # of a cell along ky and kx, rad/m
+    cell: float  # larger side, rad/m
+    water: Water
 
     @classmethod
     def of(cls, density: xr.DataArray, water: Water) -> "PlaneSpectrum":
         """Return a spectrum E(omega, ky, kx) with its estimated noise."""
-        omega, ky, kx = (density[name].values for name in ("omega", "ky", "kx"))
-        energy = density.values.reshape(omega.size, -1)
-        out = cls(omega, energy, (ky, kx), water, np.zeros(energy.shape, np.float32))
+        omega, *axes = (density[name].values for name in ("omega", "ky", "kx"))
+        ky, kx = (part.ravel() for part in np.meshgrid(*axes, indexing="ij"))
+        k, angle, sides = np.hypot(kx, ky), np.arctan2(ky, kx), np.array([axis[1] - axis[0] for axis in axes])
+        energy, cell = density.values.reshape(omega.size, -1), float(sides.max())
+        outer = k > SHORTEST_WAVES * min(abs(float(axis.min())) for axis in axes)
         least = np.float32(LEAST_NOISE * energy.mean(dtype=float))
-        return replace(out, noise=np.maximum(noise_level(out), least))
+        noise = np.maximum(noise_level(energy, outer, k / cell), least)
+        return cls(omega, energy, noise, kx, ky, k, angle, (axes[0], axes[1]), sides, cell, water)
 
     def on_lines(self, chosen: Array) -> "PlaneSpectrum":
         """Return the spectrum at some frequencies; `chosen` is a boolean array (lines,)."""
         return replace(self, omega=self.omega[chosen], energy=self.energy[chosen], noise=self.noise[chosen])
 
-    @cached_property
-    def kx(self) -> Array:
-        """kx of the cells, (cells,), rad/m."""
-        return np.tile(self.axes[1], self.axes[0].size)
 
-    @cached_property
-    def ky(self) -> Array:
-        """ky of the cells, (cells,), rad/m."""
-        return np.repeat(self.axes[0], self.axes[1].size)
-
-    @cached_property
-    def k(self) -> Array:
-        """Wavenumber of the cells, (cells,), rad/m."""
-        return np.hypot(self.kx, self.ky)
-
-    @cached_property
-    def angle(self) -> Array:
-        """Angle of k of the cells, counted from the x axis, (cells,), rad."""
-        return np.arctan2(self.ky, self.kx)
-
-    @property
-    def sides(self) -> Array:
-        """Sides of a cell along ky and kx, rad/m."""
-        return np.array([axis[1] - axis[0] for axis in self.axes])
-
-    @property
-    def cell(self) -> float:
-        """Larger side of a cell, rad/m."""
-        return float(self.sides.max())
-
-
-def noise_level(spectrum: PlaneSpectrum) -> Array:
+def noise_level(energy: Array, outer: Array, distance: Array) -> Array:
     """Return the noise of a spectrum, (lines, cells): a function of omega times a function of |k|.
     Noise is independent in time and correlated over a matching window in space, so its spectrum factorises.
-    """
-    energy, k = spectrum.energy, spectrum.k
-    outer = k > SHORTEST_WAVES * min(abs(float(axis.min())) for axis in spectrum.axes)
+    `outer` marks cells with large |k|, where waves are weak; `distance` is |k| in cells, both (cells,)."""
     if not outer.any():
         return np.zeros(energy.shape, np.float32)
     along_omega = np.median(energy[:, outer], axis=1)
-    ring = np.floor(k / (RING_CELLS * spectrum.cell)).astype(int)
+    ring = np.floor(distance / RING_CELLS).astype(int)
     ring = np.minimum(ring, ring[outer].min())  # the shortest waves are one ring
     # mean of each ring relative to that, robust against the few lines with free waves
     units = np.where(along_omega > 0, along_omega, np.inf)[:, None]
@@ -275,30 +252,16 @@ class RelationPoints:
         return np.asarray(current[0] * np.cos(self.angle) + current[1] * np.sin(self.angle))
 
 
-@dataclass(frozen=True)
-class Sector:
-    """Cells of the k plane in one sector of direction, sorted by k; arrays are (cells,)."""
-
-    theta: float  # direction of its middle, rad
-    cells: Array  # their indices in the plane
-    k: Array  # of the cells, rad/m
-    heading: Array  # (2, cells), cosine and sine of the angle
-
-
-def sectors_of(plane: PlaneSpectrum, count: int) -> list[Sector]:
-    """Return `count` sectors of equal width, the first around the direction of kx, each with its cells."""
-    out = []
+def sectors_of(spectrum: PlaneSpectrum, count: int) -> Sectors:
+    """Return the direction, rad, and the cells, sorted by k, of `count` sectors; the first is around kx."""
+    by_k = np.argsort(spectrum.k, kind="stable")
     half_width = np.pi / count
-    by_k = np.argsort(plane.k, kind="stable")
-    for theta in np.arange(count) * 2 * half_width:
-        off = np.abs((plane.angle[by_k] - theta + np.pi) % (2 * np.pi) - np.pi)
-        cells = by_k[off < half_width]
-        heading = np.array([np.cos(plane.angle[cells]), np.sin(plane.angle[cells])])
-        out.append(Sector(theta, cells, plane.k[cells], heading))
-    return out
+    middles = np.arange(count) * 2 * half_width
+    off = [np.abs((spectrum.angle[by_k] - theta + np.pi) % (2 * np.pi) - np.pi) for theta in middles]
+    return [(theta, by_k[part < half_width]) for theta, part in zip(middles.tolist(), off)]
 
 
-def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) -> RelationPoints:
+def centroids(spectrum: PlaneSpectrum, sectors: Sectors, current: Array) -> RelationPoints:
     """Return the centroids in k of the energy above the noise near the relation, per frequency and sector.
     Windows with few cells or a signal-to-noise ratio below 1, and centroids outside them, give no point."""
     omega, water = spectrum.omega, spectrum.water
@@ -310,24 +273,24 @@ def centroids(spectrum: PlaneSpectrum, sectors: list[Sector], current: Array) ->
     # across the wave vector, this increases |k| by spread / 2k on average
     spread = float(np.mean(np.square(spectrum.sides))) / 3
     parts = []
-    for number, sector in enumerate(sectors):
-        along = current[0] * np.cos(sector.theta) + current[1] * np.sin(sector.theta)
+    for number, (theta, cells) in enumerate(sectors):
+        along = current[0] * np.cos(theta) + current[1] * np.sin(theta)
+        k_cells, angles = spectrum.k[cells], spectrum.angle[cells]
         centres = _relation_in_k(omega, k_table, free, speed, along)
         reach = np.maximum(HALF_WIDTH * centres, MIN_HALF_WIDTH * spectrum.cell)
         known = np.isfinite(centres)
         middle, reach = np.where(known, centres, 0.0), np.where(known, reach, 0.0)
-        first = np.searchsorted(sector.k, middle - reach, "right")
-        last = np.searchsorted(sector.k, middle + reach, "left")
-        place = np.arange(sector.k.size)
+        first = np.searchsorted(k_cells, middle - reach, "right")
+        last = np.searchsorted(k_cells, middle + reach, "left")
+        place = np.arange(cells.size)
         inside = (place >= first[:, None]) & (place < last[:, None])
         energy, noise = (
-            np.where(inside, part[:, sector.cells].astype(float), 0.0)
-            for part in (spectrum.energy, spectrum.noise)
+            np.where(inside, part[:, cells].astype(float), 0.0) for part in (spectrum.energy, spectrum.noise)
         )
-        by = np.array([np.ones(place.size), sector.k, *sector.heading])
+        by = np.array([np.ones(place.size), k_cells, np.cos(angles), np.sin(angles)])
         # einsum, because the last bit of a BLAS product may depend on the number of threads
         above = np.einsum("lc,ic->il", energy - noise, by)
-        squares = np.einsum("lc,ic->il", energy**2, np.array([by[0], sector.k, sector.k**2]))
+        squares = np.einsum("lc,ic->il", energy**2, np.array([by[0], k_cells, k_cells**2]))
         sums = np.concatenate([above, squares, noise.sum(axis=1)[None]])
         usable = (last - first >= MIN_CELLS) & (sums[0] > sums[7]) & (sums[0] > 0)
         usable &= centres < largest_k
@@ -371,7 +334,7 @@ def _strongest_sector(points: RelationPoints) -> Array:
 
 
 def window_displacement(
-    spectrum: PlaneSpectrum, band: Array, sectors: list[Sector], current: Array
+    spectrum: PlaneSpectrum, band: Array, sectors: Sectors, current: Array
 ) -> tuple[Array, Array]:
     """Return the keys of points and the displacement of their k by the Hann windows, rad/m, each (points,).
     It is measured on simulated free waves on the relation on `current`. Points with a large displacement are
