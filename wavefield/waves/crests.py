@@ -106,10 +106,10 @@ def crest_statistics(cube: xr.Dataset) -> xr.Dataset:
     -------
     Dataset
         ``significant_height`` (m), ``skewness``, ``kurtosis`` (excess) and their standard uncertainties
-        ``_std``; ``mean_period`` (s) between zero up-crossings; ``waves``, the number of waves at
-        all points. Over ``level``, in standard deviations of z: ``crest_exceedance`` and
-        ``trough_exceedance``, the fractions of crests and troughs that reach the level, with their ``_std``;
-        ``rayleigh`` and ``tayfun``, the fractions that these distributions predict for crests. Attribute
+        ``_std``; ``mean_period`` (s) between zero up-crossings; ``waves``, the number of waves at all
+        points. Over ``level``, in standard deviations of z: ``crest_exceedance`` and
+        ``trough_exceedance``, the fractions of crests and troughs that reach the level, with their
+        ``_std``; ``rayleigh`` and ``tayfun``, the fractions that these distributions predict. Attribute
         ``blocks``, the number of blocks in the bootstrap.
 
     Raises

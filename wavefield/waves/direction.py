@@ -189,15 +189,13 @@ def directions(
     -------
     Dataset
         Over (frequency, theta), with theta the direction of propagation in 24 sectors: ``D``, the
-        directional density in 1/rad, with an integral over theta of 1; its degrees of freedom ``dof``;
-        ``low`` and ``high``, the limits of the 95 % interval as factors of D.
-        Over frequency: ``energy``, the spectrum of the waves per Hz; ``direction`` and ``spread``, the mean
-        direction and directional spread, rad, with standard uncertainties ``direction_std`` and
-        ``spread_std``; ``r1`` and ``r2``, the moduli of the first two harmonics of D; ``isotropy``, 1 less
-        the larger of r1 and r2 (1 for an isotropic sea, 0 for a single direction).
-        All of these but ``energy`` are NaN at frequencies that the grid does not resolve, or with waves below
-        three times the noise. ``dof``, ``low``, ``high`` and both standard uncertainties are NaN if the
-        spectrum is given without its variable ``dof``.
+        directional density in 1/rad; its degrees of freedom ``dof``; ``low`` and ``high``, the limits of
+        the 95 % interval as factors of D. Over frequency: ``energy``, the spectrum of the waves per Hz;
+        ``direction`` and ``spread``, the mean direction and directional spread, rad, with standard
+        uncertainties ``direction_std`` and ``spread_std``; ``r1`` and ``r2``, the moduli of the first two
+        harmonics of D; ``isotropy``, 1 less the larger of r1 and r2. All of these but ``energy`` are NaN
+        at frequencies that the grid does not resolve, or with waves below three times the noise;
+        uncertainties are NaN for a spectrum without ``dof``.
         ``efth`` (freq, dir), the same spectrum in the convention of oceanography: per Hz and degree, with
         ``dir`` the direction that waves come from, in degrees clockwise from the y axis. After ``import
         wavespectra`` the result has the accessor ``.spec``.
@@ -212,7 +210,7 @@ def directions(
     -----
     The spectrum is first shifted to the frame of the water, E(k, omega + k . U). Cells near the dispersion
     relation are divided between sectors by area, and the energy of a sector by the fraction of it that the k
-    plane samples, so that the shape of the rectangle does not appear as a direction.
+    plane samples.
 
     The spread is sqrt(2 (1 - r1)) less the resolution in quadrature: a Hann window of length L blurs k by (2
     pi / L) / sqrt(3); cells and sectors blur it by their width over sqrt(12). D, the harmonics and ``efth``

@@ -123,10 +123,9 @@ def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float
     Dataset
         ``current_x``, ``current_y`` (m/s) and their standard uncertainties ``_std``; ``ridge_k`` (rad/m),
         ``ridge_omega`` (rad/s) and ``ridge_angle`` (rad), the measured points of the relation, (point);
-        ``ridge_fraction``, the fraction of the variance near the relation; ``ridge_error`` (band), the mean
-        relative difference of the measured k from the k of the relation on the fitted current, in frequency
-        bands 0.5 Hz wide; ``band_frequency`` (band), the middles of these bands, Hz;
-        ``depth``, m.
+        ``ridge_fraction``, the fraction of the variance near the relation; ``ridge_error`` (band), the
+        mean relative difference of the measured k from the k of the relation in bands 0.5 Hz wide around
+        ``band_frequency``, Hz; ``depth``, m.
 
     Raises
     ------
@@ -141,11 +140,8 @@ def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float
     relation contains most energy. Points are centroids in k of the energy above the noise, at each frequency
     and in 24 sectors of direction, weighted by their inverse variance. Hann windows displace the centroids;
     this displacement is simulated with free waves of the measured energy on the fitted relation, and
-    subtracted, until the current changes by less than 0.3 mm/s.
-
-    The uncertainty is that of least squares, from the misfits of the points. The changes of the current with
-    30 % of the displacement left, with 10 % more surface tension, and in the last round are added in
-    quadrature.
+    subtracted, until the current changes by less than 0.3 mm/s. The uncertainty is that of least squares, and
+    of leakage and surface tension.
 
     Examples
     --------

@@ -115,9 +115,8 @@ def hann_autocorrelation(lag: Array) -> Array:
 
 def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
     """Return the variance of a mean over segments relative to independent segments, for wave packets.
-    It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K segments of `duration` T, where c(t) = int a(s /
-    T) a(v_x (t - s) / L_x) a(v_y (t - s) / L_y) ds with the autocorrelation a of the Hann window and the
-    field's `lengths` L_x, L_y: a packet counts while it is inside the windows."""
+    It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K segments of `duration` T. c is the overlap of
+    the windows, Hann in time and over the `lengths` of the field, for a packet that moves at `velocity`."""
     s = np.linspace(-1, 1, LAGS)
     in_time = hann_autocorrelation(s)
     out, alone = np.ones_like(velocity[0]), np.ones(())

@@ -380,8 +380,8 @@ def fused_spectra(
         z, w over (time, y, x), m and m/s.
     gain : path or Dataset, optional
         Amplitude gain of the matching windows, as a run stores it in its cube. If given, spectra are
-        corrected for it and noise is subtracted in cells with a gain of at least one half and a signal of
-        three times the noise; other cells count as zero.
+        corrected for it and noise is subtracted where the gain is at least one half and the signal three
+        times the noise; elsewhere the energy counts as zero.
     depth : float, optional
         Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep.
     current : tuple of float, optional
@@ -394,15 +394,15 @@ def fused_spectra(
     Returns
     -------
     Dataset
-        Over (source, omega), with the sources stereo (from z), w (from integrated w), cross (from their cross
-        spectrum) and fusion (their best combination): ``Ez``, m2 s rad-1; its degrees of freedom ``dof_Ez``;
-        ``low_Ez`` and ``high_Ez``, the limits of the 95 % interval as factors of Ez; ``valid_Ez``, true
-        where the waves exceed three times the noise in most cells near the dispersion relation.
-        Over omega: ``noise_z`` and ``noise_w``, the noise in the spectra from z and w, m2 s rad-1.
-        ``sigma_z`` and ``sigma_dz``, the rms noise of z and of w dt, m; NaN if segments are too short to
-        separate noise from waves. Over source: ``range_frequency``, Hz, the frequency up to which Ez is
-        valid, and ``range_decades``, the decades by which Ez falls from the peak to there. With a gain,
-        ``Ez_komega`` (omega, k), m3 s rad-2, by fusion; NaN where the waves are below three times the noise.
+        Over (source, omega), with the sources stereo (from z), w (from integrated w), cross (from their
+        cross spectrum) and fusion (their best combination): ``Ez``, m2 s rad-1; its degrees of freedom
+        ``dof_Ez``; ``low_Ez`` and ``high_Ez``, the limits of the 95 % interval as factors of Ez;
+        ``valid_Ez``, true where the waves exceed three times the noise. Over omega: ``noise_z`` and
+        ``noise_w``, the noise in the spectra from z and w. ``sigma_z`` and ``sigma_dz``, the rms noise of
+        z and of w dt, m; NaN if segments are too short to separate noise from waves. Over source:
+        ``range_frequency``, Hz, up to which Ez is valid, and ``range_decades``, by which Ez falls from
+        the peak to there. With a gain, ``Ez_komega`` (omega, k), m3 s rad-2, by fusion; NaN where it is
+        not valid.
 
     Raises
     ------
@@ -416,10 +416,8 @@ def fused_spectra(
     white noise of z and of the displacement. Fusion weights z and w by their inverse noise in every cell
     (omega, k). With gains H, averaged over the directions of the waves, the elevation spectrum is S_zw / (H_z
     H_w) and the noises are N / H^2. A predicted gain is S / (S + N), with S / N uncertain by a factor of 1.5.
-
-    On a current U, w is integrated at omega - k . U in each cell. The five lowest lines are not valid for
-    methods that use w, because the factor of integration varies too much in them; lines of which most energy
-    is leakage are not valid for any.
+    On a current U, w is integrated at omega - k . U in each cell; this is not accurate in the five lowest
+    lines.
 
     Examples
     --------

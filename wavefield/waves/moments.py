@@ -181,9 +181,8 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
         (quantity, bin) is the density of (value - ``mean``) / ``pdf_std``, and ``gaussian`` (bin) the
         standard normal density. Over ``quantity``: ``mean``, ``std`` (m), ``skewness``, ``kurtosis``
         (excess), ``count`` and ``n_outliers``, the number of values beyond six standard deviations.
-        ``significant_height`` (m), ``mean_square_slope``, ``slope_rms`` and ``peak_frequency`` (Hz) with
-        standard uncertainties ``_std``. The uncertainties are NaN if the record is shorter than a segment;
-        the peak is NaN if the record has less than ten peak periods.
+        ``significant_height`` (m, four standard deviations of z), ``mean_square_slope``, ``slope_rms``
+        and ``peak_frequency`` (Hz) with standard uncertainties ``_std``; NaN in short records.
 
     Raises
     ------
@@ -192,8 +191,8 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    The significant height is four standard deviations of z. Slopes are central differences of sixth order,
-    whose gain is 0.99 for waves of six nodes and 0.74 for three.
+    Slopes are central differences of sixth order, whose gain is 0.99 for waves of six nodes and 0.74 for
+    three.
 
     Examples
     --------

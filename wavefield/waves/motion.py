@@ -61,10 +61,10 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
     Returns
     -------
     Dataset
-        Over (time, y, x): slopes ``z_x``, ``z_y``; ``nonlinear``, (u - U) . grad z, and ``residual``,
-        z_t - w + u . grad z, m/s; ``vorticity`` and ``divergence``, 1/s. ``mean_current_x`` and
-        ``mean_current_y``, the current U, m/s; ``nonlinear_ratio``, the rms of the nonlinear term over that
-        of w.
+        Over (time, y, x): slopes ``z_x``, ``z_y``; ``nonlinear``, (u - U) . grad z, and ``residual``, z_t
+        - w + u . grad z, m/s; ``vorticity``, v_x - u_y, and ``divergence``, u_x + v_y, of the velocity at
+        the surface, 1/s. ``mean_current_x`` and ``mean_current_y``, the current U, m/s;
+        ``nonlinear_ratio``, the rms of the nonlinear term over that of w.
 
     Raises
     ------
@@ -75,8 +75,7 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
     -----
     The kinematic boundary condition is z_t = w - u . grad z. U . grad z is linear in the waves: it is part of
     the rate of rise in a frame that moves with the water. Derivatives are central differences of sixth order,
-    of lower order near the edges. Vorticity and divergence are v_x - u_y and u_x + v_y of the velocity at the
-    surface as a function of (x, y).
+    of lower order near the edges.
 
     Examples
     --------

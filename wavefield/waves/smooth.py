@@ -400,10 +400,9 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     Returns
     -------
     Dataset
-        Smoothed z, u, v, w and their standard uncertainties, over the same nodes and times, with the
-        ``quality`` of the cube. Values do not change at nodes that are not measured, and in windows that
-        contain lost or doubled frames (``frame_status`` discontinuous). The attribute ``smoothed`` gives the
-        number of steps in a window and the current.
+        Smoothed z, u, v, w and their standard uncertainties, with the ``quality`` of the cube. Values do
+        not change at nodes that are not measured, and in windows that contain lost or doubled frames. The
+        attribute ``smoothed`` gives the number of steps in a window and the current.
 
     Raises
     ------
@@ -418,9 +417,8 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
         z = sum a e, u = sum (k / |k|) (sigma / tanh |k| h) a e, w - u . grad z = sum -i omega a e,
 
     with e = exp(i (k . x - omega t)), omega = sigma + k . U, and sigma by the dispersion relation, plus a
-    constant for each field. The amplitudes a are the posterior means for the noise and the spectrum of the
-    record, which are estimated from sample windows. Waves shorter than 4.4 nodes are not fitted. Large grids
-    are fitted in overlapping rectangles.
+    constant for each field. U is the mean velocity. The amplitudes a are the posterior means for the noise
+    and the spectrum of the record, which are estimated from sample windows.
 
     If the mean square of the residual exceeds the noise by a factor 1 + q, the fraction q / (1 + q) of the
     residual is added to the fit. Motion that is not free waves (steep waves, eddies) therefore stays as

@@ -156,8 +156,8 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
     -------
     Dataset
         Over (omega, k): ``E``, in the field's units squared per rad/m and rad/s; its degrees of freedom
-        ``dof``; ``low`` and ``high``, factors from E to the limits of its 95 % interval; ``valid``. Over k:
-        ``coverage``, the fraction of each ring that the grid samples, and ``cells``, the number of its
+        ``dof``; ``low`` and ``high``, factors from E to the limits of its 95 % interval; ``valid``. Over
+        k: ``coverage``, the fraction of each ring that the grid samples, and ``cells``, the number of its
         cells. If no node is missing, ``E_nodes`` (omega), the mean of the spectra of all nodes.
 
     Raises
@@ -168,8 +168,7 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
     Notes
     -----
     E is the integral of `spectrum` over rings of |k|, between which the cells of the k plane are divided by
-    area. Rings beyond the Nyquist wavenumber lie in the corners of the plane; their coverage is below 1. The
-    mean over directions is E / (2 pi k coverage).
+    area. The mean over directions is E / (2 pi k coverage).
 
     Examples
     --------
@@ -221,19 +220,18 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        Over omega: ``E``, in the field's units squared per rad/s; its degrees of freedom ``dof``; ``low`` and
-        ``high``, factors from E to the limits of its 95 % interval; ``valid``. A dimension ``quantity``
-        of the input is kept.
+        Over omega: ``E``, in the field's units squared per rad/s; its degrees of freedom ``dof``; ``low``
+        and ``high``, factors from E to the limits of its 95 % interval; ``valid``.
 
     Raises
     ------
     CubeError
-        If the input is neither a field nor a result of `komega`, or the record is too short.
+        If the input is neither a field nor a result of `komega`.
 
     Notes
     -----
     E is the mean of the spectra of all nodes. If nodes are missing, it is the integral of E(k, omega) over k,
-    in which the squared spatial window weights the nodes; this estimate has up to twice the variance.
+    which has up to twice the variance.
 
     Examples
     --------
@@ -266,13 +264,13 @@ def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     -------
     Dataset
         Over k: ``E``, the integral of E(k, omega) over omega, in the field's units squared per rad/m; its
-        degrees of freedom ``dof``; ``low`` and ``high``, factors from E to the limits of its 95 % interval. A
-        dimension ``quantity`` of the input is kept.
+        degrees of freedom ``dof``; ``low`` and ``high``, factors from E to the limits of its 95 %
+        interval.
 
     Raises
     ------
     CubeError
-        If the input is neither a field nor a result of `komega`, or the record is too short.
+        If the input is neither a field nor a result of `komega`.
 
     Examples
     --------
