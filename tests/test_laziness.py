@@ -7,6 +7,7 @@ import pytest
 
 from wavefield import waves
 from wavefield.pipeline import open_cube
+from wavefield.waves.record import find_record
 
 
 @contextmanager
@@ -32,7 +33,7 @@ def cube(reference):
 @pytest.mark.parametrize("estimate", [waves.spectrum, waves.komega], ids=lambda f: f.__name__)
 def test_spectra_read_the_cube_once_for_its_holes_and_once_for_the_result(cube, estimate):
     with assert_maximum_computes(1):
-        record = waves.find_record(cube.w)
+        record = find_record(cube.w)
     with assert_maximum_computes(1):
         estimate(cube.w, record=record, segment=8)
     with assert_maximum_computes(2):

@@ -10,6 +10,7 @@ from wavefield.errors import CubeError, StoreError
 from wavefield.series.probes import read_probes
 from wavefield.variables import GROUPS, find, rows_of
 from wavefield.waves.probes import probe_spectra
+from wavefield.waves.record import find_record
 
 
 @pytest.fixture(scope="module")
@@ -188,7 +189,7 @@ def test_memory_stays_bounded_by_the_segment(tmp_path):
         with dask.config.set(scheduler="synchronous"):
             wv.komega(stored.w, segment=64)
             tracemalloc.start()
-            record = wv.find_record(stored)
+            record = find_record(stored)
             wv.komega(stored.w, segment=64, record=record).compute()
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()

@@ -8,6 +8,7 @@ from waves_cases import axes, linear_cube, random_waves
 import wavefield as wf
 from wavefield import waves as wv
 from wavefield.errors import CubeError
+from wavefield.waves.elevation import fused_spectra
 
 DIMS = ("time", "y", "x")
 
@@ -27,7 +28,7 @@ def of(fields, **more):
 def test_the_elevation_from_instantaneous_velocities_is_that_of_the_elevation_itself():
     waves = random_waves(101, n=60, lowest=1.0, highest=5.5, power=3)
     fields = instantaneous(waves)
-    found = wv.fused_spectra(of(fields, depth=0.7), segment=128)
+    found = fused_spectra(of(fields, depth=0.7), segment=128)
     truth = wv.E_omega(wv.komega(fields["z"], segment=128).drop_vars("E_nodes")).E.values
     lines = (found.frequency.values > 1.3) & (found.frequency.values < 5)
     for name in ("w", "cross", "stereo"):

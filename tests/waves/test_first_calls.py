@@ -12,7 +12,7 @@ from wavefield.variables import find
 from wavefield.waves.spectra import total
 
 FIELD = ("E_k", "E_omega", "komega", "spectrum", "structure_functions")
-CUBE = ("coherence", "kinematics", "statistics", "fused_spectra", "plane_coherence")
+CUBE = ("coherence", "kinematics", "statistics", "plane_coherence")
 MORE = ("crest_statistics", "fit_dispersion", "directions", "phase_average", "analyze")
 STILL = (0.0, 0.0)
 ESTIMATORS = {name: getattr(wf, name, None) or getattr(wv, name) for name in FIELD + CUBE + MORE}

@@ -7,6 +7,7 @@ from waves_cases import PeriodicSea, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import StoreError
+from wavefield.waves.elevation import fused_spectra
 from wavefield.waves.record import whole_record
 
 SIGMA_Z, SIGMA_DZ = 0.00057, 0.00028
@@ -25,7 +26,7 @@ def record(measured):
 
 @pytest.fixture(scope="module")
 def fused(measured, record):
-    return wv.fused_spectra(measured, record=record, segment=512)
+    return fused_spectra(measured, record=record, segment=512)
 
 
 @pytest.fixture(scope="module")
@@ -100,8 +101,8 @@ def test_undone_windows_give_the_truth_to_the_shortest_waves(through_windows):
     cube, true = through_windows
     record = whole_record(cube)
     truth = true.sum("k") * float(true.k[1] - true.k[0])
-    plain = wv.fused_spectra(cube, segment=256, record=record)
-    undone = wv.fused_spectra(cube, segment=256, record=record, gain=box_gain())
+    plain = fused_spectra(cube, segment=256, record=record)
+    undone = fused_spectra(cube, segment=256, record=record, gain=box_gain())
     for method in ("stereo", "w", "fusion"):
         before, after = (reach(out.Ez.sel(source=method), truth) for out in (plain, undone))
         assert after[0] > before[0] + 0.4, method
@@ -139,7 +140,7 @@ def test_intervals_hold_the_error_of_a_predicted_gain():
         stated = {f"gain_{n}": (("direction", "k"), np.tile(kept(k, r), (8, 1))) for n, r in ratios.items()}
         for origin, found in holds.items():
             gain = xr.Dataset(stated, {"k": k}, {"origin": origin})
-            out = wv.fused_spectra(cube, segment=128, record=whole_record(cube), gain=gain)
+            out = fused_spectra(cube, segment=128, record=whole_record(cube), gain=gain)
             for method in ("stereo", "w", "fusion"):
                 one = out.sel(source=method)
                 short = one.valid_Ez.values & (one.frequency.values > 3.3)
@@ -162,11 +163,11 @@ def test_what_is_taken_from_the_directions_of_a_sea_comes_back():
     k, angle = np.hypot(even.kx, even.ky), 0.25 * rng.standard_normal(300)
     waves = replace(even, kx=k * np.cos(angle), ky=k * np.sin(angle))
     size = 128, 40, 40, 0.25, 0.5
-    true = wv.fused_spectra(linear_cube(waves, *size, noise_z=1e-5, noise_dz=1e-5), current=(0.0, 0.0))
+    true = fused_spectra(linear_cube(waves, *size, noise_z=1e-5, noise_dz=1e-5), current=(0.0, 0.0))
     k, angle = np.linspace(0, 9, 181), np.arange(8)[:, None] * np.pi / 8
     gain = xr.Dataset({f"gain_{n}": (("direction", "k"), kept(k * np.cos(angle))) for n in "zw"}, {"k": k})
     lost = linear_cube(replace(waves, a=waves.a * kept(waves.kx)), *size, noise_z=2e-4, noise_dz=1e-4)
-    undone = wv.fused_spectra(lost, gain=gain, current=(0.0, 0.0))
+    undone = fused_spectra(lost, gain=gain, current=(0.0, 0.0))
     hertz = undone.frequency.values
     for method in ("stereo", "fusion"):
         ratio = (undone.Ez / true.Ez).sel(source=method).values
@@ -179,7 +180,7 @@ def test_what_is_not_known_is_masked(through_windows):
     cube, true = through_windows
     gain = box_gain()
     gain = gain.where(gain.k < 90)
-    undone = wv.fused_spectra(cube, segment=256, record=whole_record(cube), gain=gain)
+    undone = fused_spectra(cube, segment=256, record=whole_record(cube), gain=gain)
     assert bool(np.isnan(undone.Ez_komega.sel(k=slice(90, None))).all())
     assert float(undone.range_frequency.max()) < float(wv.dispersion(95, 0.7)) / (2 * np.pi)
     kept = np.isfinite(undone.Ez_komega)
@@ -191,7 +192,7 @@ def test_an_analysis_undoes_the_windows(tmp_path):
     gain = box_gain()
     gain.to_zarr(tmp_path / "gain.zarr", consolidated=False)
     tree = wv.analyze(cube, gain=tmp_path / "gain.zarr", segment=64)
-    alone = wv.fused_spectra(cube, gain=gain, segment=64)
+    alone = fused_spectra(cube, gain=gain, segment=64)
     np.testing.assert_allclose(tree["spectra"].Ez, alone.Ez, rtol=1e-6)
     xr.testing.assert_allclose(tree["fusion"].Ez_komega, alone.Ez_komega)
     assert tree.attrs["windows_undone"] != "no"
@@ -220,7 +221,7 @@ def test_spectra_undo_the_gain_that_is_stored_with_the_cube():
             np.testing.assert_allclose(ratio, np.broadcast_to(expected, ratio.shape), rtol=0.02)
     xr.testing.assert_equal(one.E_k.sel(quantity="u"), other.E_k.sel(quantity="u"))
     predicted = stored.assign_attrs(origin="linear theory")  # less certain than one that is given
-    np.testing.assert_allclose(other.Ez, wv.fused_spectra(cube, gain=predicted, segment=64).Ez)
+    np.testing.assert_allclose(other.Ez, fused_spectra(cube, gain=predicted, segment=64).Ez)
     # water at rest: nothing that could be undone
     still = stored.assign(gain_w=0.1 * stored.gain_w)
     assert wv.analyze(cube.merge(still), segment=64).attrs["windows_undone"] == "no"
@@ -228,7 +229,7 @@ def test_spectra_undo_the_gain_that_is_stored_with_the_cube():
 
 def test_w_is_not_integrated_where_a_line_is_as_wide_as_its_frequency():
     quiet = PeriodicSea(n=128).cube(700, 40, 50)
-    out = wv.fused_spectra(quiet, segment=64, current=(0.0, 0.0))
+    out = fused_spectra(quiet, segment=64, current=(0.0, 0.0))
     stereo = out.sel(source="stereo", drop=True)
     strong = (stereo.Ez > 0.05 * stereo.Ez.max()) & (out.frequency < 2)
     assert stereo.valid_Ez.values[strong.values].all()
@@ -244,7 +245,7 @@ def test_elevation_from_w_is_right_on_a_current():
     cube = PeriodicSea(n=128, current=current).cube(600, 50, 64, noise_z=SIGMA_Z, noise_dz=SIGMA_DZ)
     record = whole_record(cube)
     out, still = (
-        wv.fused_spectra(cube, segment=256, record=record, **more) for more in ({}, {"current": (0.0, 0.0)})
+        fused_spectra(cube, segment=256, record=record, **more) for more in ({}, {"current": (0.0, 0.0)})
     )
     assert out.attrs["current"] == pytest.approx(current, abs=0.002)
     true = wv.E_omega(wv.komega(cube.exact, segment=256, record=record).drop_vars("E_nodes")).E

@@ -11,6 +11,7 @@ import wavefield.waves as wv
 from wavefield.errors import CubeError
 from wavefield.grid import largest_rectangle
 from wavefield.variables import FrameStatus, Quality
+from wavefield.waves.record import find_record
 from wavefield.waves.spectra import total
 
 
@@ -43,7 +44,7 @@ def test_empty_edges_are_cut_off_and_single_holes_filled(sea):
     holed["w"][:, :4] = np.nan
     holed["z"][:, :, 35:] = np.nan
     holed["u"][123, 20, 20] = np.nan
-    record = wv.find_record(holed)
+    record = find_record(holed)
     assert record.y == (4, 30)
     assert record.x == (0, 35)
     assert record.runs == ((0, 300),)
@@ -58,7 +59,7 @@ def test_short_gaps_are_bridged_and_reported_long_ones_split_the_record(sea):
     gappy = sea.copy(deep=True)
     gappy["z"][50:52] = np.nan
     gappy["w"][150:160] = np.nan
-    record = wv.find_record(gappy)
+    record = find_record(gappy)
     assert record.bridged == (50, 51)
     assert record.runs == ((0, 150), (160, 300))
     E = wv.komega(gappy.z, segment=64, record=record)
@@ -72,14 +73,14 @@ def test_steps_that_failed_do_not_count_even_if_they_hold_numbers(sea):
     status = np.full(300, FrameStatus.DONE, "u1")
     status[100:140] = FrameStatus.FAILED
     status[200] = FrameStatus.DONE_WITH_FAULTS
-    record = wv.find_record(sea.assign(frame_status=("time", status)))
+    record = find_record(sea.assign(frame_status=("time", status)))
     assert record.runs == ((0, 100), (140, 300))
 
 
 def test_nodes_that_come_and_go_are_left_out(sea):
     flickering = sea.copy(deep=True)
     flickering["v"][::3, 0] = np.nan
-    assert wv.find_record(flickering).y == (1, 30)
+    assert find_record(flickering).y == (1, 30)
 
 
 @pytest.mark.parametrize(
@@ -99,7 +100,7 @@ def test_nodes_that_come_and_go_are_left_out(sea):
 )
 def test_what_cannot_be_used_is_refused_in_one_sentence(sea, spoil, sentence):
     with pytest.raises(CubeError, match=sentence) as caught:
-        wv.find_record(spoil(sea))
+        find_record(spoil(sea))
     assert "\n" not in str(caught.value)
 
 
@@ -127,7 +128,7 @@ def with_mask(sea, masked):
 def test_what_is_masked_for_a_few_steps_is_not_filled_but_left_out(sea):
     masked = np.zeros(sea.z.shape, bool)
     masked[20:26, 5, 7] = True  # a float drifts by, under a tenth of the time
-    record = wv.find_record(with_mask(sea, masked))
+    record = find_record(with_mask(sea, masked))
     y, x = record.y, record.x
     assert not any(masked[a:b, y[0] : y[1], x[0] : x[1]].any() for a, b in record.runs)
     assert record.holes == 0
@@ -140,7 +141,7 @@ def test_nodes_missing_at_random_cost_no_step_and_leave_the_spectrum(fraction):
     whole = sea.cube(("z",)).z
     missing = xr.DataArray(np.random.default_rng(seed).random(sea.shape) < fraction, dims=whole.dims)
     holed = whole.where(~missing)
-    record = wv.find_record(holed)
+    record = find_record(holed)
     assert record.shape == (48, 64)
     assert record.runs == ((0, 160),)
     assert record.holes == int(missing.sum())

@@ -5,6 +5,7 @@ from waves_cases import GaussianSea, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
+from wavefield.waves.elevation import fused_spectra
 
 THIN = {"width": 0.06, "n": 96, "dx": 0.03, "band": (1.2, 4.2)}  # a ridge thinner than a cell
 
@@ -40,7 +41,7 @@ def test_a_ridge_that_no_current_explains_is_refused(directional):
 def test_leakage_of_the_peak_is_not_valid():
     # waves up to 2.5 Hz without noise: beyond them there is but what the window lets through
     waves = random_waves(n=80, lowest=1.0, highest=2.5)
-    out = wv.fused_spectra(linear_cube(waves, 400, 40, 50, dx=0.02, dtype="f8"), segment=100)
+    out = fused_spectra(linear_cube(waves, 400, 40, 50, dx=0.02, dtype="f8"), segment=100)
     assert not bool(out.valid_Ez.where(out.frequency > 5.0, False).any())
     fusion = out.valid_Ez.sel(source="fusion")
     assert bool(fusion.where((out.frequency > 1.2) & (out.frequency < 2.3), True).all())

@@ -5,28 +5,23 @@ from wavefield.waves.crests import crest_statistics
 from wavefield.waves.cross import coherence, plane_coherence
 from wavefield.waves.direction import directions
 from wavefield.waves.dispersion_fit import fit_dispersion
-from wavefield.waves.elevation import fused_spectra
 from wavefield.waves.increments import structure_functions
 from wavefield.waves.inputs import cube
 from wavefield.waves.moments import statistics
 from wavefield.waves.motion import kinematics
 from wavefield.waves.phases import phase_average
-from wavefield.waves.record import Record, find_record
 from wavefield.waves.spectra import E_k, E_omega, komega, spectrum
 
 __all__ = [
     "E_k",
     "E_omega",
-    "Record",
     "analyze",
     "coherence",
     "crest_statistics",
     "cube",
     "directions",
     "dispersion",
-    "find_record",
     "fit_dispersion",
-    "fused_spectra",
     "group_velocity",
     "kinematics",
     "komega",

@@ -372,60 +372,13 @@ def fused_spectra(
     segment: int | None = None,
     record: Record | None = None,
 ) -> xr.Dataset:
-    """Elevation spectrum by four methods, and the noise of z and w.
-
-    Parameters
-    ----------
-    cube : Dataset
-        z, w over (time, y, x), m and m/s.
-    gain : path or Dataset, optional
-        Amplitude gain of the matching windows, as a run stores it in its cube. If given, spectra are
-        corrected for it and noise is subtracted where the gain is at least one half and the signal three
-        times the noise; elsewhere the energy counts as zero.
-    depth : float, optional
-        Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep.
-    current : tuple of float, optional
-        Velocity of the water along x and y, m/s; by default fitted to w, or zero if the fit fails.
-    segment : int, optional
-        Steps of a Welch segment; by default chosen from the record.
-    record : Record, optional
-        Rectangle of nodes and uninterrupted runs of steps; by default found from the cube.
-
-    Returns
-    -------
-    Dataset
-        Over (source, omega), with the sources stereo (from z), w (from integrated w), cross (from their
-        cross spectrum) and fusion (their best combination): ``Ez``, m2 s rad-1; its degrees of freedom
-        ``dof_Ez``; ``low_Ez`` and ``high_Ez``, the limits of the 95 % interval as factors of Ez;
-        ``valid_Ez``, true where the waves exceed three times the noise. Over omega: ``noise_z`` and
-        ``noise_w``, the noise in the spectra from z and w. ``sigma_z`` and ``sigma_dz``, the rms noise of
-        z and of w dt, m; NaN if segments are too short to separate noise from waves. Over source:
-        ``range_frequency``, Hz, up to which Ez is valid, and ``range_decades``, by which Ez falls from
-        the peak to there. With a gain, ``Ez_komega`` (omega, k), m3 s rad-2, by fusion; NaN where it is
-        not valid.
-
-    Raises
-    ------
-    CubeError
-        If a variable is missing, the record is shorter than a segment or no rectangle is fully measured.
-
-    Notes
-    -----
-    With the elevation spectra S_zz from z and S_ww from w and their cross spectrum S_zw, the noises are N_z =
-    S_zz - Re S_zw and N_w = S_ww - Re S_zw, if they are independent. They are fitted in each ring of k as
-    white noise of z and of the displacement. Fusion weights z and w by their inverse noise in every cell
-    (omega, k). With gains H, averaged over the directions of the waves, the elevation spectrum is S_zw / (H_z
-    H_w) and the noises are N / H^2. A predicted gain is S / (S + N), with S / N uncertain by a factor of 1.5.
-    On a current U, w is integrated at omega - k . U in each cell; this is not accurate in the five lowest
-    lines.
-
-    Examples
-    --------
-    >>> import wavefield as wf
-    >>> Ez = wf.waves.fused_spectra(wf.open_cube("sea.zarr")).Ez
-    >>> Ez.dims, Ez.source.values.tolist()
-    (('source', 'omega'), ['stereo', 'w', 'cross', 'fusion'])
-    """
+    """Return elevation spectra of a cube by the four `METHODS`, and the noise of z and w.
+    ``Ez`` (source, omega) is from z (stereo), integrated w, their cross spectrum, and their best combination
+    (fusion). With the elevation spectra S_zz and S_ww and the cross spectrum S_zw, the noises are N_z = S_zz
+    - Re S_zw and N_w = S_ww - Re S_zw, if they are independent. They are fitted in each ring of k as white
+    noise of z and of the displacement. Fusion weights z and w by their inverse noise in every cell (omega,
+    k). With gains H, the elevation spectrum is S_zw / (H_z H_w) and the noises are N / H^2. On a current U, w
+    is integrated at omega - k . U in each cell; this is not accurate in the five lowest lines."""
     water = water_of(cube.attrs, depth)
     gain = None if gain is None else read_gain(gain)
     cube = checked_fields(cube, NAMES)

@@ -117,32 +117,16 @@ FIELDS = ("z", "z_t", "u", "v", "w")
 
 @dataclass(frozen=True)
 class Record:
-    """The part of a cube that the estimators use: a rectangle of nodes, and runs of unbroken steps.
+    """Rectangle of nodes, and runs of unbroken steps, that the estimators use of a cube."""
 
-    Parameters
-    ----------
-    y, x : tuple of int
-        Index of the first node of the rectangle, and one past its last.
-    runs : tuple of (int, int)
-        Index of the first step of each run without long gaps, and one past its last.
-    bridged : tuple of int
-        Indices of missing steps inside the runs; their values are interpolated.
-    steps : int
-        Number of steps of the whole cube.
-    holes : int
-        Number of values missing inside the rectangle at steps that are used; they are interpolated.
-    dt, dy, dx : float
-        Spacing of time (s), y and x (m).
-    """
-
-    y: tuple[int, int]
+    y: tuple[int, int]  # first node of the rectangle, and one past its last
     x: tuple[int, int]
-    runs: tuple[tuple[int, int], ...]
-    bridged: tuple[int, ...]
-    steps: int
-    holes: int
-    dt: float
-    dy: float
+    runs: tuple[tuple[int, int], ...]  # first step of each run without long gaps, and one past its last
+    bridged: tuple[int, ...]  # missing steps inside the runs, whose values are interpolated
+    steps: int  # of the whole cube
+    holes: int  # number of missing values in rectangle and runs, which are interpolated
+    dt: float  # spacing of time, s
+    dy: float  # spacing of the nodes, m
     dx: float
 
     @property
@@ -293,29 +277,9 @@ def _finite_steps(arrays: Sequence[xr.DataArray], steps: tuple[int, int]) -> np.
 
 def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Record:
     """Find the largest rectangle of measured nodes, and the runs of measured steps, of a cube.
-
-    Nodes that are missing at some steps may lie inside; their values are interpolated. Gaps of at most two
-    steps are also interpolated; longer gaps split the record. The values are read once (a lazy cube is
-    computed), and only masks are kept in memory.
-
-    Parameters
-    ----------
-    cube : xarray.Dataset or xarray.DataArray
-        Variables over (time, y, x), metres and seconds. Steps that failed in ``frame_status`` and nodes that
-        are masked at any step in ``quality`` are left out.
-    each : callable, optional
-        ``each(work, items)`` maps work over items on workers and yields the results in order.
-
-    Returns
-    -------
-    Record
-        Rectangle, runs and spacing of the axes.
-
-    Raises
-    ------
-    CubeError
-        If the axes are uneven, no step is valid, or no measured rectangle of 8 x 8 nodes exists.
-    """
+    Nodes that are missing at some steps, and gaps of at most two steps, are interpolated; longer gaps split
+    the record. The values are read once, and only masks are kept in memory. `each(work, items)` maps work
+    over items on workers. Raises CubeError if axes are uneven or no rectangle of 8 x 8 nodes is measured."""
     dt, dy, dx = check_axes(cube)
     arrays = [cube] if isinstance(cube, xr.DataArray) else [cube[name] for name in FIELDS if name in cube]
     if not arrays:

@@ -83,7 +83,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     segment : int, optional
         Steps of a Welch segment; by default chosen from the record.
     record : Record, optional
-        Rectangle of nodes and uninterrupted runs of steps (`find_record`); by default found from the field.
+        Result of `wavefield.waves.record.find_record`, by default for this field.
 
     Returns
     -------
@@ -149,8 +149,7 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
     segment : int, optional
         Steps of a Welch segment; by default chosen from the record.
     record : Record, optional
-        Rectangle of nodes and uninterrupted runs of steps, by default from `find_record`, which reads the
-        field.
+        Result of `wavefield.waves.record.find_record`, by default for this field.
 
     Returns
     -------
