@@ -136,7 +136,7 @@ def crest_statistics(cube: xr.Dataset) -> xr.Dataset:
     mean = np.concatenate(runs).mean(axis=0)
     runs = [run - mean for run in runs]
     crossings = sum(float(((run[:-1] < 0) & (run[1:] >= 0)).sum()) for run in runs)
-    steps = sum(run.shape[0] for run in runs)
+    steps = record.steps_in_runs()
     period = steps * mean.size / max(crossings, 1.0)
     block = max(int(np.ceil(PERIODS_IN_BLOCK * period)), 2)
     if sum(run.shape[0] // block for run in runs) < MIN_BLOCKS:

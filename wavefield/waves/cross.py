@@ -18,7 +18,7 @@ from wavefield.waves.products import WaveProduct, register
 from wavefield.waves.record import Record
 from wavefield.waves.spectra import E_k, E_omega
 from wavefield.waves.sums import NAMES, Requested, segment_sums, sources, transforms
-from wavefield.waves.welch import CHANCE, Reader, Welch, k_coords, omega_coords
+from wavefield.waves.welch import CHANCE, Reader, Welch, add_sums, k_coords, omega_coords
 
 Array = NDArray[Any]
 
@@ -138,13 +138,12 @@ def _spectra(
     return annotate(out, "spectra")
 
 
-def _ring(sums: Mapping[str, Array], pairs: Sequence[tuple[str, str]], welch: Welch) -> xr.Dataset:
-    """Return the `cross_spectra` of all seven quantities and of `pairs`, from the sums of an analysis."""
-    return label(sums, NAMES, pairs, welch)
-
-
 register(
-    WaveProduct("ring", ("ring_sums", "pairs", "welch"), _ring),
+    WaveProduct(
+        "ring",
+        ("ring_sums", "pairs", "welch"),
+        lambda sums, pairs, welch: label(sums, NAMES, pairs, welch),
+    ),
     WaveProduct("spectra", ("ring", "gain", "plane_w", "welch", "filled"), _spectra, group="spectra", cost=2),
 )
 
@@ -280,9 +279,8 @@ def plane_coherence(cube: xr.Dataset) -> xr.Dataset:
         for blocks in read.blocks(run):
             parts = transforms(dict(zip(fields, blocks)), Requested(COHERENCE_NAMES), welch)
             precise = {n: parts[n].astype(np.complex128) for n in COHERENCE_NAMES}
-            for name, values in _plane_sums(precise).items():
-                sums[name] = sums[name] + values if name in sums else values
-    steps = sum(b - a for a, b in record.runs)
+            sums = add_sums(sums, _plane_sums(precise))
+    steps = record.steps_in_runs()
     ny, nx = record.shape
     kx = 2 * np.pi * np.fft.rfftfreq(nx, record.dx)
     ky = np.fft.fftshift(2 * np.pi * np.fft.fftfreq(ny, record.dy))

@@ -37,11 +37,6 @@ _HANN = np.array([1 / 36, 4 / 9, 1, 4 / 9, 1 / 36])  # squared correlation of ne
 RIDGE_CORRELATION = 1.6
 
 
-def segments_of(dof: float) -> float:
-    """Return the number of half-overlapping segments that give a spectrum `dof` degrees of freedom."""
-    return max(19 * dof / 36, 1.0)
-
-
 def packet_correlation(
     ky: Array, kx: Array, omega: Array, water: tuple[float, float], current: tuple[float, float], dof: float
 ) -> Array:
@@ -52,7 +47,7 @@ def packet_correlation(
     speed = group_velocity(k, *water) / k
     velocity = speed * kx + current[0], speed * ky[:, None] + current[1]
     lengths = 2 * np.pi / (kx[1] - kx[0]), 2 * np.pi / (ky[1] - ky[0])
-    count = segments_of(dof)
+    count = max(19 * dof / 36, 1.0)  # number of half-overlapping segments
     crossing = correlation_at(velocity, 2 * np.pi / (omega[1] - omega[0]), lengths, round(count))
     white = 1 + (1 - 1 / count) / 18  # white noise in segments that overlap by half, Hann window
     return np.maximum(crossing / white, 1.0)

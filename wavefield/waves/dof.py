@@ -218,7 +218,9 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, 
 
     starts, lines = _segments(sums, f"points {name}")
     waves = dof_of_all_nodes(freedom_of_sums(power, cells, welch)["omega"], welch) / welch.dof
-    number = independent_segments(lines, place_of(starts, welch), 1 / (1 / waves + 1 / lines.shape[1]))
+    number = independent_segments(
+        lines, (starts - starts[0]) // welch.half, 1 / (1 / waves + 1 / lines.shape[1])
+    )
     waves = np.minimum(waves, independent_nodes(lines, number))
     of_cells = (cells / welch.dof * 2 * number).clip(1, None)
     most = {"both": of_cells, "omega": 2 * number * waves, "k": freedom_of_sums(power, of_cells, welch)["k"]}
@@ -290,8 +292,3 @@ def _segments(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
     return np.array([int(key.removeprefix(start)) for key in names]), np.array(
         [sums[key] for key in names], complex
     )
-
-
-def place_of(starts: Array, welch: Welch) -> NDArray[np.intp]:
-    """Return the place of each segment in the record, in halves of a segment from the first, (segments,)."""
-    return np.asarray((starts - starts[0]) // welch.half)

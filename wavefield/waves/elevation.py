@@ -403,11 +403,6 @@ def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str,
     return annotate(out, "spectra")
 
 
-def _fusion_group(fused: xr.Dataset) -> xr.Dataset:
-    """Return the group `fusion` of `analyze`: the result of `fused_spectra` without the spectra by method."""
-    return fused.drop_vars(BY_SOURCE)
-
-
 register(
     WaveProduct(
         "fused",
@@ -417,5 +412,5 @@ register(
         planes=PLANES,
     ),
     WaveProduct("elevation_spectra", ("fused", "ring", "filled"), _elevation_spectra, group="spectra"),
-    WaveProduct("fusion", ("fused",), _fusion_group, group="fusion"),
+    WaveProduct("fusion", ("fused",), lambda fused: fused.drop_vars(BY_SOURCE), group="fusion"),
 )

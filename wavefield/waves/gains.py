@@ -6,7 +6,7 @@ over space; their amplitude gain is a Dataset over (direction, k) with ``gain_z`
 """
 
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -19,44 +19,35 @@ from wavefield.waves.sums import MIN_AMPLITUDE
 from wavefield.waves.welch import k_coords
 
 Array = NDArray[Any]
-Values = TypeVar("Values", float, Array, xr.DataArray)
 
 MIN_SIGNAL_TO_NOISE = 3.0  # of a cell, ring or band: a noise wrong by a tenth changes the waves by 3 %
 
 
-def path_factor(omega: Values, dt: float, frames: int) -> Values:
+def path_factor(omega: Any, dt: float, frames: int) -> Any:
     """Return the amplitude gain of a velocity from several frames, relative to one from two frames.
     It is w_0 + 2 w_1 cos(omega dt) + 2 w_2 cos(2 omega dt) with the weights w of `PATH_WEIGHTS`."""
-    factor: Values
     if frames == INSTANTANEOUS:
-        reciprocal: Any = np.sinc(np.asarray(omega) * dt / (2 * np.pi))
         with np.errstate(divide="ignore"):
-            factor = 1 / reciprocal
-        return factor
+            return 1 / np.sinc(np.asarray(omega) * dt / (2 * np.pi))
     central, *others = PATH_WEIGHTS[frames]
     out: Any = np.full_like(omega, central, dtype=float)
     for n, weight in enumerate(others, 1):
         out = out + 2 * weight * np.cos(n * omega * dt)
-    factor = out
-    return factor
+    return out
 
 
-def noise_of_displacement(omega: Values, dt: float, frames: int) -> Values:
+def noise_of_displacement(omega: Any, dt: float, frames: int) -> Any:
     """Return the noise spectrum of displacements over that of the elevation integrated from them."""
-    twice: Any = omega * dt if frames == INSTANTANEOUS else 2 * np.sin(omega * dt / 2)
-    factor: Values = twice**2
-    return factor
+    return (omega * dt if frames == INSTANTANEOUS else 2 * np.sin(omega * dt / 2)) ** 2
 
 
-def elevation_from_w(omega: Values, dt: float, frames: int = 2) -> Values:
+def elevation_from_w(omega: Any, dt: float, frames: int = 2) -> Any:
     """Return the factor, s2, that converts the power spectrum of w to that of the elevation.
     It is (dt / 2)^2 / (p sin b)^2, with b = omega dt / 2 and the gain p of `path_factor`: w dt is the
     difference of two elevations, whose gain is 2 i sin b, so a factor 1 / omega^2 would be wrong by sinc^2 b.
     """
     with np.errstate(divide="ignore"):
-        path: Any = path_factor(omega, dt, frames)
-        factor: Values = (dt / 2) ** 2 / (np.sin(omega * dt / 2) * path) ** 2
-    return factor
+        return (dt / 2) ** 2 / (np.sin(omega * dt / 2) * path_factor(omega, dt, frames)) ** 2
 
 
 DIRECTIONS = 8  # chosen: directions of k for which gains are stored, over half a turn

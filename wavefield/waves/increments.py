@@ -47,7 +47,7 @@ def powers_of_differences(values: Array, axis: int, lag: int, differences: int) 
 def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[int, int]]]:
     """Return the blocks of steps, (start, stop, run), into which the runs of a record are cut.
     A block is twice as long as the `longest` lag, or shorter if there would be fewer than eight."""
-    steps = sum(b - a for a, b in record.runs)
+    steps = record.steps_in_runs()
     length = max(min(2 * longest, steps // MIN_BLOCKS), 2)
     return [(a, a + length, run) for run in record.runs for a in range(run[0], run[1] - length + 1, length)]
 
@@ -98,7 +98,7 @@ def structure_functions(field: xr.DataArray, *, differences: int = 1) -> xr.Data
     if differences not in (1, 2):
         raise CubeError(f"differences is {differences}: choose 1 or 2")
     record = find_record(field)
-    steps = sum(b - a for a, b in record.runs)
+    steps = record.steps_in_runs()
     spans = [max(int(min(steps / 16, 10 / record.dt)), 1), *(max(n // 3, 1) for n in record.shape)]
     chosen = [lags(span) for span in spans]
     blocks = _blocks_of_time(record, differences * spans[0])

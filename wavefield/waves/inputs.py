@@ -208,8 +208,7 @@ def _seconds(name: str, field: object) -> xr.DataArray:
     if "time" in field.coords and field["time"].dtype.kind in "mM":
         since = (field["time"] - field["time"][0]).values / np.timedelta64(1, "s")
         field = field.assign_coords(time=("time", since, {"units": "s"}))
-    out: xr.DataArray = field
-    return out
+    return field
 
 
 def _rate(z: xr.DataArray) -> xr.DataArray:

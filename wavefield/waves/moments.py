@@ -14,7 +14,7 @@ from wavefield.parabola import parabola_vertex
 from wavefield.variables import annotate, validate
 from wavefield.water import group_velocity, wavenumber
 from wavefield.waves import kernels, motion
-from wavefield.waves.crests import BOOTSTRAP_DRAWS
+from wavefield.waves.crests import BOOTSTRAP_DRAWS, PERIODS_IN_BLOCK
 from wavefield.waves.dof import dof_of_all_nodes, hann_correlation, sum_freedom
 from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import Noted, WaveProduct, register
@@ -25,7 +25,7 @@ from wavefield.waves.welch import Reader, Welch, add_sums, inner
 Array = NDArray[Any]
 
 
-MIN_PERIODS = 10  # chosen: peak periods of the shortest record that separates the peak from other waves
+MIN_PERIODS = PERIODS_IN_BLOCK  # of the shortest record that separates the peak from other waves
 # quantities with a standard uncertainty: power of k in the integral of E(omega, k), power of this integral
 _INTEGRALS = {"significant_height": (0, 0.5), "mean_square_slope": (2, 1.0), "slope_rms": (2, 0.5)}
 
@@ -133,12 +133,6 @@ def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, floa
     return np.diff(np.interp(edges, rough, cumulative)) / (np.diff(edges) * moments["count"])
 
 
-def _bin_centres() -> Array:
-    """Return the centres of the histogram bins, in standard deviations."""
-    edges = np.linspace(-REACH, REACH, BINS + 1)
-    return (edges[1:] + edges[:-1]) / 2
-
-
 def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
     """Return the statistics from the sums of `sums_of`; `dt` turns velocities into displacements."""
     fields = {name: field for name, field in QUANTITIES.items() if f"powers {field}" in sums}
@@ -151,7 +145,8 @@ def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
         for key, value in moments.items():
             of_length = key in ("mean", "std", "pdf_std")
             rows[key].append(value * dt if of_length and name != "z" else value)
-    bins = _bin_centres()
+    edges = np.linspace(-REACH, REACH, BINS + 1)
+    bins = (edges[1:] + edges[:-1]) / 2
     out: dict[str, Any] = {key: ("quantity", np.array(row)) for key, row in rows.items() if key != "pdf"}
     out["pdf"] = (("quantity", "bin"), np.array(rows["pdf"]))
     out["gaussian"] = ("bin", np.exp(-(bins**2) / 2) / np.sqrt(2 * np.pi))
@@ -251,11 +246,6 @@ def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma
     return annotate(statistics.assign(out | stds), "statistics")
 
 
-def _moments(sums: Mapping[str, Array], scales: Scales, welch: Welch) -> xr.Dataset:
-    """Return the statistics without uncertainties, as the product `moments` of an analysis."""
-    return label(sums, scales, welch.record.dt)
-
-
 def _statistics_group(
     moments: xr.Dataset, fused: xr.Dataset, spectra: xr.Dataset, welch: Welch, depth: float, gamma: float
 ) -> Noted:
@@ -276,7 +266,7 @@ def _statistics_group(
     if periods < MIN_PERIODS:
         notes.append(
             "No spectral peak, steepness or wave height: the record holds"
-            f" {periods:.2g} peak periods; {MIN_PERIODS} are needed."
+            f" {periods:.2g} peak periods; {MIN_PERIODS:.0f} are needed."
         )
         gone = ("peak_frequency", "peak_k", "steepness", "significant_height")
         out = out.drop_vars([f"{name}{end}" for name in gone for end in ("", "_std")])
@@ -284,7 +274,11 @@ def _statistics_group(
 
 
 register(
-    WaveProduct("moments", ("survey_sums", "scale", "welch"), _moments),
+    WaveProduct(
+        "moments",
+        ("survey_sums", "scale", "welch"),
+        lambda sums, scales, welch: label(sums, scales, welch.record.dt),
+    ),
     WaveProduct(
         "statistics",
         ("moments", "fused", "spectra", "welch", "depth", "gamma"),

@@ -25,10 +25,9 @@ from wavefield.waves.record import MIN_NODES, check_axes, whole_record
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-FIELDS = 4  # z, u, v and the rate of rise at a fixed node, w - u . grad z
-MAX_RELATIVE_WAVELENGTH = (
-    12.0  # chosen, relative to the longer side; longer waves look alike in the rectangle
-)
+NAMES = ("z", "u", "v", "w")
+FIELDS = len(NAMES)  # of the model, which has the rate of rise at a fixed node, w - u . grad z, instead of w
+MAX_RELATIVE_WAVELENGTH = 12.0  # chosen, relative to the longer side; longer waves look alike in it
 MAX_RELATIVE_WAVENUMBER = 0.45  # chosen, relative to Nyquist; the noise of neighbouring nodes is correlated
 FIRST_AMPLITUDE = 1e-2  # m and m/s, chosen: prior before the first round, larger than the amplitudes of waves
 MIN_NOISE_RATIO = 0.05  # chosen: least noise variance, relative to that of the cube
@@ -226,17 +225,14 @@ def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Arr
     return Learned(prior, variance, noise, misfit, taken)
 
 
-NAMES = ("z", "u", "v", "w")
 INPUTS = (*NAMES, *(f"{name}_std" for name in NAMES), "quality")
 HALF_WINDOW = 0.1  # s, chosen
-MIN_HALF_WINDOW_STEPS, MAX_HALF_WINDOW_STEPS = 2, 10  # chosen
+MIN_HALF_WINDOW_STEPS = 2  # chosen
 SAMPLED_WINDOWS = 8  # chosen: windows that are read to learn; the half with most measured nodes is used
 MIN_MEASURED_SHARE = 0.25  # chosen: least fraction of nodes that are measured throughout these windows
 TILE_NODES = 60  # chosen: largest side of a rectangle that is fitted at once, for memory
 OVERLAP_NODES = 16  # chosen: nodes in common with the next rectangle
-MISFIT_RADIUS = (
-    3.0  # nodes, chosen: standard deviation of the Gaussian weights that average squared residuals
-)
+MISFIT_RADIUS = 3.0  # nodes, chosen: standard deviation of the weights that average squared residuals
 COMMON_ERROR_SHARE = 0.12  # fraction of the noise variance that all steps of a window have in common
 JUMP_OF_TIME = -1.0  # marks a step at which time jumps, in place of its quality
 VARIANCE_SPACING = 5  # chosen: the variance of the fit is computed at every fifth node and interpolated
@@ -254,8 +250,7 @@ class _Smoother:
         current: Array,
         water: tuple[float, float],
     ) -> None:
-        most = min(MAX_HALF_WINDOW_STEPS, (steps - 1) // 2)
-        self.steps = int(np.clip(round(HALF_WINDOW / dt), MIN_HALF_WINDOW_STEPS, most))
+        self.steps = min(max(round(HALF_WINDOW / dt), MIN_HALF_WINDOW_STEPS), (steps - 1) // 2)
         counts = [max(-(-(n - OVERLAP_NODES) // (TILE_NODES - OVERLAP_NODES)), 1) for n in shape]
         ny, nx = (-(-(n + (count - 1) * OVERLAP_NODES) // count) for n, count in zip(shape, counts))
         self.tile = ny, nx
@@ -280,9 +275,7 @@ class _Smoother:
         z_y, z_x = slopes(z, self.step, self.step)
         fields = np.stack([z, u, v, w - u * z_x - v * z_y])
         variance = np.square(window[4:8].astype(float))
-        there = (
-            np.isfinite(fields).all(axis=0) & np.isfinite(variance).all(axis=0) & (variance > 0).all(axis=0)
-        )
+        there = (np.isfinite(fields) & np.isfinite(variance) & (variance > 0)).all(axis=0)
         there &= (np.nan_to_num(window[8]).astype(int) & Quality.MEASURED) > 0
         return np.where(there, fields, 0.0), np.where(there, variance, 1.0), there
 
@@ -359,9 +352,8 @@ class _Smoother:
         ratio = there * (fields - fit) ** 2 / (variance * expected)
         near = np.maximum(gaussian_filter(there.sum(axis=0) * 1.0, MISFIT_RADIUS), 1e-9)
         mean = gaussian_filter(ratio.sum(axis=1), (0.0, MISFIT_RADIUS, MISFIT_RADIUS)) / near
-        fewer = (
-            gaussian_filter(waves.times.size * mask * 1.0, MISFIT_RADIUS) / near
-        )  # steps and nodes than the factor has
+        # steps and nodes that the fit of the rectangle has, relative to those that are measured
+        fewer = gaussian_filter(waves.times.size * mask * 1.0, MISFIT_RADIUS) / near
         excess = np.maximum(mean - 1.0, 0.0)
         kept = excess / (1.0 + excess)  # of what the waves leave
         z, u, v, rise = fit[:, middle]

@@ -28,17 +28,8 @@ Array = NDArray[Any]
 
 MIN_AMPLITUDE = 0.5  # smallest gain that is corrected (chosen): a correction at most doubles the amplitude
 
-# fields of the cube from which each quantity is computed; nl is (u - U) . grad z, rise is z_t + U . grad z
-SOURCES = {
-    "z": ("z",),
-    "z_t": ("z_t",),
-    "rise": ("z", "z_t", "u", "v"),
-    "u": ("u",),
-    "v": ("v",),
-    "w": ("w",),
-    "nl": ("z", "z_t", "u", "v"),
-}
-NAMES = tuple(SOURCES)
+NAMES = ("z", "z_t", "rise", "u", "v", "w", "nl")  # nl is (u - U) . grad z, and rise is z_t + U . grad z
+ADVECTED = ("z", "z_t", "u", "v")  # fields of the cube from which rise and nl are computed
 
 
 @dataclass(frozen=True)
@@ -53,12 +44,13 @@ class Requested:
 
 def sources(names: Sequence[str]) -> list[str]:
     """Return the fields of a cube from which the quantities `names` are computed."""
-    return list(dict.fromkeys(field for name in names for field in SOURCES.get(name, (name,))))
+    fields = [ADVECTED if name in ("rise", "nl") else (name,) for name in names]
+    return list(dict.fromkeys(field for of_name in fields for field in of_name))
 
 
 def advected(fields: Mapping[str, Array], welch: Welch) -> dict[str, Array]:
     """Return nl = (u - U) . grad z and rise = z_t + U . grad z, (steps, ny, nx), by name."""
-    z, z_t, u, v = (fields[name] for name in SOURCES["nl"])
+    z, z_t, u, v = (fields[name] for name in ADVECTED)
     z_y, z_x = np.empty_like(z), np.empty_like(z)
     kernels.gradient(z, welch.record.dy, welch.record.dx, z_y, z_x)
     along_x, along_y = map(z.dtype.type, welch.current)

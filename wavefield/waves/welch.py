@@ -62,11 +62,6 @@ def degrees_of_freedom(segments: float) -> float:
     return 2 * segments / overlap_factor(segments)
 
 
-def effective_duration(segments: float, length: float) -> float:
-    """Return (int w)^2 / int w^2 of the sum w of the squared windows of half-overlapping segments."""
-    return length * 18 * segments**2 / (38 * segments - 3)
-
-
 def interval(dof: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
     """Return two factors: a spectrum times these is the low and high limit of its 95 % interval."""
     dof = np.asarray(dof, float)
@@ -231,11 +226,6 @@ def spatial_window(ny: int, nx: int) -> np.ndarray:
     return np.outer(hann(ny), hann(nx))
 
 
-def window_energy(segment: int, ny: int, nx: int) -> float:
-    """Return the sum of the squared Hann window in time, y and x over a segment."""
-    return float((hann(segment) ** 2).sum() * (hann(ny) ** 2).sum() * (hann(nx) ** 2).sum())
-
-
 NODES_PER_AXIS = 4  # nodes per axis at which Fourier lines are kept; chosen: closer nodes are correlated
 
 
@@ -362,14 +352,14 @@ class Welch:
 
     @property
     def duration(self) -> float:
-        """Effective duration of the record, s: the windows give the ends of each run less weight."""
-        return effective_duration(self.count, self.segment * self.record.dt)
+        """Effective duration of the record, s: (int w)^2 / int w^2 of the sum w of the squared windows."""
+        return self.segment * self.record.dt * 18 * self.count**2 / (38 * self.count - 3)
 
     @property
     def density(self) -> float:
         """Factor from |F|^2, summed over segments, to a two-sided spectrum per (rad/m)^2 and rad/s."""
         record = self.record
-        energy = window_energy(self.segment, *record.shape)
+        energy = float(np.prod([(hann(n) ** 2).sum() for n in (self.segment, *record.shape)]))
         return record.dt * record.dy * record.dx / ((2 * np.pi) ** 3 * energy * self.count)
 
     @property
@@ -470,15 +460,9 @@ def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
     fields = with_stated(fields)
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
-    arrays = (
-        [fields[n] for n in ("z_t", "w", "u", "v") if n in fields]
-        if hasattr(fields, "data_vars")
-        else [fields]
-    )
-    stated = {str(one.attrs[VELOCITY]) for one in (fields, *arrays) if VELOCITY in one.attrs}
-    if stated:
-        return frames_of_meaning(*sorted(stated))
-    return 2
+    parts = fields.data_vars.values() if isinstance(fields, xr.Dataset) else ()
+    stated = {str(one.attrs[VELOCITY]) for one in (fields, *parts) if VELOCITY in one.attrs}
+    return frames_of_meaning(*sorted(stated)) if stated else 2
 
 
 def frames_of_meaning(*stated: str) -> int:
