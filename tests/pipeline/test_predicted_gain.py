@@ -1,4 +1,5 @@
 import numpy as np
+import xarray as xr
 
 import wavefield as wf
 from wavefield.grid import Grid
@@ -6,13 +7,14 @@ from wavefield.matching import Prior
 from wavefield.measurement import GridGeometry, LearnedRecord, Settings
 from wavefield.measurement.resolution import tabulated
 from wavefield.tank import Scene
-from wavefield.waves.gains import PREDICTED, label, read_gain
+from wavefield.waves.gains import read_gain
 
 
 def predicted_gain(scene, record):
     grid = Grid(scene.grid.x, scene.grid.y, scene.grid.step)
     table = tabulated(GridGeometry(scene.build_rig(), grid, Settings()), record)
-    return label({name: table[f"gain_{name}"] for name in "zuvw"}, table["k"], PREDICTED)
+    gains = {f"gain_{name}": (("direction", "k"), table[f"gain_{name}"]) for name in "zuvw"}
+    return xr.Dataset(gains, {"direction": np.arange(8) * np.pi / 8, "k": table["k"]})
 
 
 def test_the_gain_is_what_the_posterior_keeps_of_a_wave():

@@ -102,8 +102,6 @@ def expected_segment_correlation(power: Array, count: int) -> Array:
     return out
 
 
-HEADINGS = 32  # directions of waves in the mean over angles; numerical
-LAGS = 41  # points of the integral over time lags; numerical
 NOISE_LINES = 0.75  # of the Nyquist frequency; the mean power above it is taken as white noise
 
 
@@ -117,7 +115,7 @@ def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence
     """Return the variance of a mean over segments relative to independent segments, for wave packets.
     It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K segments of `duration` T. c is the overlap of
     the windows, Hann in time and over the `lengths` of the field, for a packet that moves at `velocity`."""
-    s = np.linspace(-1, 1, LAGS)
+    s = np.linspace(-1, 1, 41)  # more points change nothing
     in_time = hann_autocorrelation(s)
     out, alone = np.ones_like(velocity[0]), np.ones(())
     for lag in range(count):
@@ -141,7 +139,7 @@ def crossing_correlation(welch: Welch) -> Array:
     record, table = welch.record, welch.table
     lengths = record.shape[1] * record.dx, record.shape[0] * record.dy
     group = group_velocity(table.k, welch.depth)[:, None]
-    heading = np.arange(HEADINGS) * 2 * np.pi / HEADINGS
+    heading = np.arange(32) * 2 * np.pi / 32  # more directions change nothing
     velocity = [group * part(heading) + along for part, along in zip((np.cos, np.sin), welch.current)]
     out = correlation_at(velocity, welch.segment * record.dt, lengths, welch.count)
     return np.asarray(out.mean(axis=1))

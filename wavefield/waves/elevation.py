@@ -53,11 +53,6 @@ def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: fl
     return np.asarray(np.where(intrinsic < 0, -1.0, 1.0) * np.clip(np.abs(intrinsic), least, most))
 
 
-def longest_waves(omega: Array, water: Water, speed: float) -> Array:
-    """Return the wavenumber, (lines,), rad/m, of waves that propagate along a current of `speed`, m/s."""
-    return np.asarray(np.interp(omega, dispersion(_TABLE_K, *water) + _TABLE_K * speed, _TABLE_K))
-
-
 NAMES = ("z", "w")
 PAIRS = (("z", "w"),)
 PLANES = ("z*w",)
@@ -356,7 +351,9 @@ def _fused(
 def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
     """Return a mask (omega,): true where most `energy` (omega, k) is near free waves or at larger k.
     Elsewhere it is mostly leakage of the peak."""
-    shorter = spectra.k > MIN_FREE_K * longest_waves(spectra.omega, water, spectra.speed)[:, None]
+    along = dispersion(_TABLE_K, *water) + _TABLE_K * spectra.speed
+    longest = np.interp(spectra.omega, along, _TABLE_K)  # free waves that propagate along the current
+    shorter = spectra.k > MIN_FREE_K * longest[:, None]
     energy = np.maximum(energy, 0.0)
     total = _smooth(energy.sum(axis=1))
     return np.asarray(_smooth((energy * shorter).sum(axis=1)) > 0.5 * total)

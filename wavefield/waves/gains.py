@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from wavefield.errors import StoreError
-from wavefield.variables import INSTANTANEOUS, PATH_WEIGHTS, annotate
+from wavefield.variables import INSTANTANEOUS, PATH_WEIGHTS
 from wavefield.waves.sums import MIN_AMPLITUDE
-from wavefield.waves.welch import k_coords
 
 Array = NDArray[Any]
 
@@ -50,17 +49,8 @@ def elevation_from_w(omega: Any, dt: float, frames: int = 2) -> Any:
         return (dt / 2) ** 2 / (np.sin(omega * dt / 2) * path_factor(omega, dt, frames)) ** 2
 
 
-DIRECTIONS = 8  # chosen: directions of k for which gains are stored, over half a turn
 CELLS_OF_WEIGHT = 2.0  # chosen: standard deviation, in cells of k, over which weights are smoothed
 PREDICTED = "linear theory"  # first words of the attribute `origin` of a predicted gain
-
-
-def label(gains: dict[str, Array], k: Array, origin: str) -> xr.Dataset:
-    """Return the Dataset of a gain from amplitude gains (DIRECTIONS, k) by field: z, u, v or w."""
-    out = {f"gain_{name}": (("direction", "k"), values) for name, values in gains.items()}
-    coords = {"direction": np.arange(DIRECTIONS) * np.pi / DIRECTIONS} | k_coords(k)
-    attrs = {"title": "gain of the matching windows", "origin": origin}
-    return annotate(xr.Dataset(out, coords, attrs), "gain")
 
 
 def read_gain(source: str | Path | xr.Dataset) -> xr.Dataset:

@@ -122,7 +122,11 @@ def add_segment(
             if name in requested.planes:
                 kernels.add_powers(lines[name], sums[f"map {name}"][slab])
         for pair in requested.pairs:
-            _add_products(sums, lines, pair, slab, table, quadrature)
+            one, other, name = lines[pair[0]], lines[pair[1]], "*".join(pair)
+            kernels.ring_cross_spectra(one, other, start, table.ring, table.weight, sums[name])
+            kernels.ring_squares(one, other, start, table.ring, table.spread, sums[f"squares {name}"])
+            if f"map {name}" in sums:
+                kernels.add_products(one, other, quadrature[0], quadrature[1], sums[f"map {name}"][slab])
     for name in names:
         keep_points(sums, name, first[f"points {name}"], second[f"points {name}"], begin)
     if requested.nodes:
@@ -138,23 +142,6 @@ def _powers_of_nodes(first: Array, second: Array) -> Array:
     power = sums.sum(axis=0)
     power[1:half] += power[:half:-1]
     return np.asarray(power[: half + 1])
-
-
-def _add_products(
-    sums: dict[str, Array],
-    lines: Mapping[str, Array],
-    pair: tuple[str, str],
-    slab: slice,
-    table: Rings,
-    quadrature: Sequence[Array],
-) -> None:
-    """Add the cross spectrum of a pair of quantities in one segment to `sums`, for the cells of a `slab`."""
-    first, second, name = lines[pair[0]], lines[pair[1]], "*".join(pair)
-    start = table.start[slab.start : slab.stop + 1]
-    kernels.ring_cross_spectra(first, second, start, table.ring, table.weight, sums[name])
-    kernels.ring_squares(first, second, start, table.ring, table.spread, sums[f"squares {name}"])
-    if f"map {name}" in sums:
-        kernels.add_products(first, second, quadrature[0], quadrature[1], sums[f"map {name}"][slab])
 
 
 def _quadrature(b: Array) -> tuple[Array, Array]:

@@ -107,11 +107,6 @@ def segment_length(record: Record, segment: int | None) -> int:
     return segment
 
 
-def count_segments(record: Record, segment: int) -> int:
-    """Return the number of segments, overlapping by half, in all runs of a record."""
-    return sum(segment_count(b - a, segment) for a, b in record.runs)
-
-
 def _values(part: object) -> np.ndarray:
     block = np.asarray(part)
     return block if block.dtype.kind == "f" else block.astype(np.float64)
@@ -327,7 +322,7 @@ class Welch:
     @cached_property
     def count(self) -> int:
         """Number of segments, overlapping by half, in all runs."""
-        return count_segments(self.record, self.segment)
+        return sum(segment_count(b - a, self.segment) for a, b in self.record.runs)
 
     @property
     def half(self) -> int:
