@@ -15,7 +15,6 @@ from wavefield.waves.welch import spatial_window
 Array = NDArray[np.float64]
 
 SAMPLED_STEPS = 256  # evenly spaced steps that give the means of a record; chosen
-_SLOWEST = 8  # lowest Fourier lines of the series of means, from which its uncertainty follows; chosen
 
 
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
@@ -53,8 +52,8 @@ def _mean_and_uncertainty(parts: list[list[list[float]]]) -> tuple[Array, Array]
     values = values[np.isfinite(values).all(axis=1)]
     if values.shape[0] < 2:
         return np.zeros(2) if not values.size else values[0], np.full(2, np.nan)
-    # the mean is the Fourier line at zero, whose noise is that of the neighbouring lines
-    lines = np.abs(np.fft.rfft(values - values.mean(axis=0), axis=0)[1 : _SLOWEST + 1]) ** 2
+    # the mean is the Fourier line at zero, whose noise is that of the eight neighbouring lines
+    lines = np.abs(np.fft.rfft(values - values.mean(axis=0), axis=0)[1:9]) ** 2
     return values.mean(axis=0), np.sqrt(lines.mean(axis=0)) / len(values)
 
 

@@ -31,7 +31,7 @@ from wavefield.waves.welch import Welch, frames_of, interval
 
 Array = NDArray[Any]
 
-_HANN = np.array([1 / 36, 4 / 9, 1, 4 / 9, 1 / 36])  # squared correlation of neighbouring cells, Hann window
+_HANN = np.array([*rings.HANN_CORRELATION[:0:-1], *rings.HANN_CORRELATION])  # of neighbouring cells
 # The energy lies on a thin ridge, so cells are correlated more than by their windows. Ratio of the variances
 # of the direction: 1.9, 1.9 and 1.6 in 20 Gaussian seas each of directional spreading s = 5, 20 and 50
 RIDGE_CORRELATION = 1.6

@@ -35,8 +35,6 @@ from wavefield.waves.welch import Welch, k_coords
 Array = NDArray[Any]
 
 MIN_POINTS = 6  # chosen: three times the number of unknowns
-OUTLIER_STDS = 3.0  # chosen: misfit, in standard deviations, beyond which points get less weight
-MAX_CONDITION = 1e4  # condition number of the normal equations; waves of a single direction exceed it
 TENSION_ERROR = 0.1  # chosen: relative standard uncertainty of the surface tension, which films lower
 BAND_WIDTH = 0.5  # Hz, chosen: width of the bands in which the points are compared with theory
 
@@ -53,7 +51,7 @@ def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Ar
 
 def _outlier_limit(misfit: Array) -> float:
     """Return three robust standard deviations of `misfit`, beyond which points get less weight."""
-    return OUTLIER_STDS * max(float(np.median(np.abs(misfit))) / 0.6745, 1e-9)
+    return 3.0 * max(float(np.median(np.abs(misfit))) / 0.6745, 1e-9)
 
 
 def solve(points: RelationPoints, water: Water, start: Array) -> Array:
@@ -71,7 +69,7 @@ def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array
     slopes = np.stack([misfit(current + unit) - residual for unit in np.eye(2)], axis=1)  # it is linear
     robust = 1 / np.sqrt(1 + (residual / _outlier_limit(residual)) ** 2)
     normal = (slopes * robust[:, None]).T @ slopes
-    if not np.linalg.cond(normal) < MAX_CONDITION:
+    if not np.linalg.cond(normal) < 1e4:  # waves of a single direction exceed it
         return np.full((2, 2), np.nan)
     independent = (len(points) - 2) / 2
     variance = (robust * residual**2).sum() / independent

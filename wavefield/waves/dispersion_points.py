@@ -25,7 +25,6 @@ SHORTEST_WAVES = 0.8  # largest k, relative to that of the grid: shorter waves a
 # Least noise, relative to the mean energy of a cell: in noise-free seas, leakage would count as waves. Tuned
 # on seas that end at 2.5 to 6 Hz; a tenth of it refuses some of them
 LEAST_NOISE = 1e-4
-RING_CELLS = 1.5  # chosen: width, in cells, of the rings in which the noise is averaged
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ def noise_level(energy: Array, outer: Array, distance: Array) -> Array:
     if not outer.any():
         return np.zeros(energy.shape, np.float32)
     along_omega = np.median(energy[:, outer], axis=1)
-    ring = np.floor(distance / RING_CELLS).astype(int)
+    ring = np.floor(distance / 1.5).astype(int)  # chosen: rings of one and a half cells
     ring = np.minimum(ring, ring[outer].min())  # the shortest waves are one ring
     # mean of each ring relative to that, robust against the few lines with free waves
     units = np.where(along_omega > 0, along_omega, np.inf)[:, None]

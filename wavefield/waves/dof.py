@@ -63,7 +63,6 @@ def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
     return annotate(xr.Dataset({"E": energy, "dof": dof, "low": low, "high": high}))
 
 
-FREQUENCIES_PER_LINE = 2  # of the sharpened spectrum, so that a peak may lie between two lines
 ROUNDS = 4  # of deconvolution; tuned on random seas: with one, intervals of E(omega) hold 2 % less often
 
 
@@ -72,7 +71,7 @@ def expected_segment_correlation(power: Array, count: int) -> Array:
     It is 1 + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, with the
     deconvolved spectrum S, the power W^2 of the Hann window about a line, and the length T of a segment."""
     lines = np.arange(power.shape[1])
-    between = FREQUENCIES_PER_LINE
+    between = 2  # frequencies of the sharpened spectrum per line, so that a peak may lie between lines
     fine = np.arange(between * (lines.size - 1) + 1) / between
     response = hann_power(np.arange(-between * REACH, between * REACH + 1) / between)
 
@@ -100,9 +99,6 @@ def expected_segment_correlation(power: Array, count: int) -> Array:
         shifted = windowed(sharp * np.exp(1j * np.pi * lag * fine))[:, ::between]
         out += 2 * max(1 - lag / count, 0.0) * np.abs(shifted) ** 2 / total**2
     return out
-
-
-NOISE_LINES = 0.75  # of the Nyquist frequency; the mean power above it is taken as white noise
 
 
 def hann_autocorrelation(lag: Array) -> Array:
@@ -147,7 +143,7 @@ def crossing_correlation(welch: Welch) -> Array:
 
 def wave_share(power: Array) -> Array:
     """Return the fraction of the powers (rings, lines) that is due to waves and not to white noise."""
-    first = int(NOISE_LINES * (power.shape[1] - 1))
+    first = int(0.75 * (power.shape[1] - 1))  # above 3/4 of the Nyquist frequency, most power is noise
     noise = power[:, first:-1].mean(axis=1, keepdims=True) if first < power.shape[1] - 1 else 0.0
     return np.asarray(1 - np.minimum(noise / np.maximum(power, 1e-300), 1.0))
 

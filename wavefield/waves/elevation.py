@@ -39,7 +39,7 @@ from wavefield.waves.welch import MIN_OVER_FILLED, Welch, inner, k_coords, omega
 
 Array = NDArray[Any]
 
-SLOWEST, FASTEST = 0.5, 1.5  # chosen: limits of an intrinsic frequency, relative to that of free waves
+MAX_DEPARTURE = 0.5  # chosen: of an intrinsic frequency from that of free waves, relative to the latter
 _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m: waves of 6 km to 1.6 mm
 
 
@@ -48,8 +48,8 @@ def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: fl
     The limits, relative to the frequency `sigma` of free waves, keep it away from zero, where w cannot be
     integrated, but always include omega itself."""
     intrinsic = np.asarray(omega - doppler_shift)
-    least = np.minimum(omega, SLOWEST * sigma)
-    most = np.maximum(omega, np.minimum(FASTEST * sigma, np.pi / dt))
+    least = np.minimum(omega, (1 - MAX_DEPARTURE) * sigma)
+    most = np.maximum(omega, np.minimum((1 + MAX_DEPARTURE) * sigma, np.pi / dt))
     return np.asarray(np.where(intrinsic < 0, -1.0, 1.0) * np.clip(np.abs(intrinsic), least, most))
 
 

@@ -104,9 +104,6 @@ def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
     return given, {}
 
 
-SPLINE_DEGREE = 7  # its derivative is correct to 0.3 % for waves of four steps a period
-
-
 def cube(
     z: xr.DataArray,
     u: xr.DataArray | None = None,
@@ -222,7 +219,7 @@ def _rate(z: xr.DataArray) -> xr.DataArray:
         complete = there.all(axis=0)
         if (there.any(axis=0) & ~complete).any():
             raise CubeError("z has gaps, so its time derivative is unknown there: give z_t, or fill the gaps")
-        degree = min(SPLINE_DEGREE, (t.size - 1) | 1)
+        degree = min(7, (t.size - 1) | 1)  # correct to 0.3 % for waves of four steps a period
         if complete.any():
             out[:, complete] = make_interp_spline(t, flat[:, complete], degree).derivative()(t)
         return out.T.reshape(values.shape)

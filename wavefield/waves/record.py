@@ -110,7 +110,6 @@ HOLE_SIDE = 3  # nodes; smaller gaps (outliers) are isolated and filled well
 # of holes. Chosen: fewer holes shrink the rectangle, more of them raise the noise floor.
 MIN_OUTSIDE = 0.9
 MIN_MEASURED = 0.5  # fraction of values, per node and per step, that must be measured; the rest is filled
-FILLED_STEPS = 12  # steps at which the error of filled nodes is measured; chosen, it is then known to 20 %
 MIN_NODES = 8  # nodes along each side of the rectangle; chosen: twice the main lobe of a Hann window
 FIELDS = ("z", "z_t", "u", "v", "w")
 
@@ -393,7 +392,8 @@ def filled_error(record: Record, field: xr.DataArray) -> float:
     if not record.holes:
         return 0.0
     inside = [t for a, b in record.runs for t in range(a + FILL_MARGIN, b - FILL_MARGIN)]
-    chosen = {inside[i] for i in np.linspace(0, len(inside) - 1, FILLED_STEPS).astype(int)} if inside else ()
+    # twelve steps give the error to 20 %
+    chosen = {inside[i] for i in np.linspace(0, len(inside) - 1, 12).astype(int)} if inside else ()
     area = slice(*record.y), slice(*record.x)
     blocks = (
         np.asarray(piece(field, slice(t - FILL_MARGIN, t + FILL_MARGIN + 1), *area)) for t in sorted(chosen)

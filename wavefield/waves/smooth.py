@@ -29,7 +29,6 @@ NAMES = ("z", "u", "v", "w")
 FIELDS = len(NAMES)  # of the model, which has the rate of rise at a fixed node, w - u . grad z, instead of w
 MAX_RELATIVE_WAVELENGTH = 12.0  # chosen, relative to the longer side; longer waves look alike in it
 MAX_RELATIVE_WAVENUMBER = 0.45  # chosen, relative to Nyquist; the noise of neighbouring nodes is correlated
-FIRST_AMPLITUDE = 1e-2  # m and m/s, chosen: prior before the first round, larger than the amplitudes of waves
 MIN_NOISE_RATIO = 0.05  # chosen: least noise variance, relative to that of the cube
 MIN_RELATIVE_EIGENVALUE = 1e-3  # chosen: below it, combinations of waves vanish in the rectangle
 ROUNDS = 8  # rounds of learning; in the last, spectra change by a few per cent
@@ -200,7 +199,7 @@ def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Arr
     basis = basis @ (vectors[:, held] / np.sqrt(eigenvalues[held]))
     nodes, values, times = basis.shape[0], basis.shape[1], waves.times.size
     noise = variance * nodes / values  # neighbouring nodes have correlated noise
-    prior = np.full(waves.group.max() + 1, FIRST_AMPLITUDE**2)
+    prior = np.full(waves.group.max() + 1, 1e-2**2)  # m and m/s, larger than the amplitudes of waves
     for _ in range(ROUNDS):
         posterior = Posterior(waves.normal(products, noise), prior[waves.group])
         weight = mask / noise[:, None, None, None]
@@ -235,7 +234,6 @@ OVERLAP_NODES = 16  # chosen: nodes in common with the next rectangle
 MISFIT_RADIUS = 3.0  # nodes, chosen: standard deviation of the weights that average squared residuals
 COMMON_ERROR_SHARE = 0.12  # fraction of the noise variance that all steps of a window have in common
 JUMP_OF_TIME = -1.0  # marks a step at which time jumps, in place of its quality
-VARIANCE_SPACING = 5  # chosen: the variance of the fit is computed at every fifth node and interpolated
 
 
 class _Smoother:
@@ -309,7 +307,8 @@ class _Smoother:
             normal = waves.normal(waves.products(mask), self.learned.noise)
             posterior = Posterior(normal, self.learned.prior[waves.group])
             ny, nx = self.tile
-            y, x = (np.unique(np.append(np.arange(0, n, VARIANCE_SPACING), n - 1)) for n in (ny, nx))
+            # the covariance varies slowly: it is computed at every fifth node and interpolated
+            y, x = (np.unique(np.append(np.arange(0, n, 5), n - 1)) for n in (ny, nx))
             nodes = (y[:, None] * nx + x).ravel()
             covariance = posterior.covariance(waves.rows(nodes, self.steps)).reshape(y.size, x.size, 6, 6)
             at = np.stack(np.meshgrid(np.arange(ny), np.arange(nx), indexing="ij"), axis=-1)
