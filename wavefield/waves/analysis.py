@@ -106,13 +106,9 @@ class _Chain:
         out.points.append(distant_nodes(fields["w"], record).copy())
 
 
-# Each thread holds half segments of all fields: .3 GB for 100 x 130 nodes, and 3.4 GB in all with eight.
-THREADS = 2
-
-
 def _in_threads(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
     """Map work over items in a few threads, and yield the results in order."""
-    with ThreadPoolExecutor(min(THREADS, dask.config.get("num_workers", None) or THREADS)) as pool:
+    with ThreadPoolExecutor(dask.config.get("num_workers")) as pool:
         yield from pool.map(work, items)
 
 
@@ -131,6 +127,10 @@ def one_pass(
         if progress:
             progress(done, len(chains))
     return vars(total) | {"scale": scale, "point_series": np.concatenate(total.points)}
+
+
+# Each thread holds half segments of all fields: .3 GB for 100 x 130 nodes, and 3.4 GB in all with eight.
+THREADS = 2
 
 
 def analyze(
@@ -167,7 +167,8 @@ def analyze(
                 f"the cube has no {name!r}: the analysis needs {', '.join(FIELDS)} over time, y and x"
             )
     fields = validate(complete, *FIELDS)
-    with np.errstate(all="ignore"):
+    threads = min(THREADS, dask.config.get("num_workers", None) or THREADS)
+    with np.errstate(all="ignore"), dask.config.set(num_workers=threads):
         depth, gamma = water_of(complete.attrs, depth)
         given = {
             "cube": fields,
