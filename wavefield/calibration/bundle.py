@@ -230,8 +230,8 @@ def minimise(
     limit: float | None,
     tolerance: float,
 ) -> tuple[Array, float]:
-    """Minimise Huber's loss by the method of Levenberg and Marquardt from x (p,); return x and the limit.
-    Loss is linear beyond `limit`; None means four robust standard deviations of the residuals."""
+    """Minimise Huber's loss from the start x (p,) by the method of Levenberg and Marquardt.
+    Returns x and the residual beyond which the loss is linear: `limit`, or four robust deviations."""
     damping = 1e-4
     diagonal = np.zeros_like(x)
     scale = 0.0
@@ -286,7 +286,7 @@ def fit(
     placed: Sequence[int] = (),
 ) -> Fit:
     """Fit all cameras and poses of the target to all observations (bundle adjustment with Huber's loss).
-    `target_std` is that of nodes, m; `noise_scale` that of pixels in units of their stated uncertainty."""
+    `target_std`, m, is the uncertainty of node positions; `noise_scale` scales that stated for pixels."""
     o = observations
     plan = layout(o, models, reference, placed)
     start = replace(start, offset=np.zeros_like(start.offset))

@@ -55,8 +55,8 @@ class SingleCamera:
 
 
 def homography(plan: Array, pixel: Array) -> Array | None:
-    """Fit a homography (3, 3) from positions on the plane (n, 2), metres, to pixels (n, 2), without outliers.
-    None if fewer than six nodes, or fewer than half of them, fit, or if all are on a line."""
+    """Fit a homography (3, 3) from positions on a plane (n, 2), m, to pixels (n, 2), without outliers.
+    None if there are fewer than six nodes, if they are on a line, or if fewer than half of them fit."""
     if len(plan) < 6 or np.linalg.matrix_rank(plan - plan.mean(0), tol=1e-9) < 2:
         return None
     cv2.setRNGSeed(1)

@@ -112,7 +112,7 @@ def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
 
 def centroid_bias(node: Nodes, pixel: Array, radius: float) -> Array:
     """Return the centroid of a round dot in perspective minus the image of its centre, (n, 2), px.
-    `radius` is that of the dots in meshes."""
+    `radius` is the radius of a dot in meshes."""
     smooth = SmoothMap(node, pixel)
     rings, spokes = 4, 12
     r = radius * np.sqrt((np.arange(rings) + 0.5) / rings)  # rings of equal area
@@ -183,7 +183,8 @@ def dot_centres(
 def make_points(
     image: Image, node: Nodes, pixel: Array, notes: tuple[str, ...] = (), noise: Array | float = 0.0
 ) -> TargetPoints:
-    """Make target points without outliers; std is the larger of `noise`, px, and the scatter about a map."""
+    """Make target points without outliers; std is at least `noise`, px, and the scatter about a smooth
+    map."""
     smooth = SmoothMap(node, pixel)
     free = max(len(node) - 4 - len(smooth.powers), 1)
     limited = np.minimum(smooth.misfit, OUTLIER_DEVIATIONS * smooth.spread)

@@ -74,8 +74,9 @@ def level_on_water(
     horizons: Mapping[str, Array] | None = None,
     distance: float | None = None,
 ) -> Levelled:
-    """Bring z = 0 to the mean surface of moving water, from pixels by pair of cameras, for each instant.
-    A `distance` of two cameras, m, also places the second one; the origin is then below the cameras."""
+    """Bring z = 0 to the mean surface of moving water; `matches` holds, per instant, pixels by pair of
+    cameras. With a `distance` of two cameras, m, the second one is placed too, and the origin is below
+    them."""
     none = np.empty((0, 3))
     surfaces = [
         np.concatenate([none, *(points_of(rig[a], rig[b], pixels) for (a, b), pixels in by_pair.items())])
@@ -137,7 +138,8 @@ def _best_fit(
     horizons: Mapping[str, Array],
     distance: float | None,
 ) -> tuple[PlatformFit, tuple[float, float], str]:
-    """Fit the mean surface, and the horizon if it agrees; return the fit, tilt and height std, a sentence."""
+    """Fit the mean surface, and the horizon if it agrees; return the fit, the std of tilt and height, and a
+    sentence on what gave the level."""
     free = fit_platform(start, matches, {}, distance)
     std = jackknife_std(free, matches, {}, distance)
     if not horizons:

@@ -99,7 +99,7 @@ Read = Callable[[str, int], NDArray[np.generic] | None]  # reads the image of a 
 
 
 class SheetWindows:
-    """Disparities of pairs of cameras in windows of `side` px, summed over instants."""
+    """Measures the disparity of each pair of cameras in windows of `side` px of the dewarped images."""
 
     def __init__(self, rig: Rig, side: int, read: Read, instants: Sequence[int]) -> None:
         self.rig = rig

@@ -183,7 +183,7 @@ class Sea:
 
     @property
     def reach(self) -> float:
-        """Elevation, m, hardly ever exceeded: 4.5 standard deviations, or 1.1 times the sum of amplitudes."""
+        """Elevation hardly ever exceeded, m: 4.5 std or 1.1 times the sum of amplitudes, the smaller."""
         height = np.abs(self.amplitude)
         return float(min(np.sum(height) * 1.1, 4.5 * np.sqrt(0.5 * np.sum(height**2))))
 

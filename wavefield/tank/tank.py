@@ -176,7 +176,7 @@ class Tank:
 
     @cached_property
     def _sea_paints(self) -> tuple[tuple[texture.Paint, ...], ...]:
-        """Two textures of ripples and two of foam; grains of a pair differ in size."""
+        """Two textures of ripples and two of foam; the two of a kind have grains of different sizes."""
         settings = self.scene.surface
         assert isinstance(settings, SeaSurface)
 
