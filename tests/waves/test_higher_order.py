@@ -1,13 +1,9 @@
-import importlib
-
 import numpy as np
 import pytest
 from independent_seas import LatticeSea
 
 from wavefield.errors import CubeError
-from wavefield.waves.bicoherence import higher_order
-
-module = importlib.import_module("wavefield.waves.bicoherence")
+from wavefield.waves.bicoherence import higher_order, tricoherence_of
 
 
 def gaussian_lines(rng, n, samples):
@@ -19,7 +15,7 @@ def test_four_waves_are_found_and_trivial_pairings_are_not():
     z = gaussian_lines(rng, 20, 40000)
     # 5 + 12 = 8 + 9
     z[9] = z[9] + 1.5 * z[5] * z[12] * z[8].conj() / np.sqrt(8)
-    value = module.tricoherence_of(z, np.zeros((20, 20)), 1.0)
+    value = tricoherence_of(z, np.zeros((20, 20)), 1.0)
     assert value[5, 12] > 0.2
     assert np.isnan(value[1, 3])  # only 2 + 2 has the same sum, of nearly the same lines
     elsewhere = value[np.isfinite(value) & (np.add.outer(np.arange(20), np.arange(20)) != 17)]

@@ -44,7 +44,6 @@ def test_a_probe_that_fits_raises_no_remark(z):
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        ({"factor": 1000.0}, ["times the elevation"]),
         ({"factor": -1.0}, ["falls where"]),
         ({"factor": -1000.0}, ["falls where", "times the elevation"]),
         ({"clock": 2.15}, ["its clock is"]),

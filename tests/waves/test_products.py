@@ -1,6 +1,5 @@
 """The registry of what an analysis computes."""
 
-import pytest
 import xarray as xr
 from waves_cases import linear_cube, random_waves
 
@@ -28,8 +27,3 @@ def test_a_registered_product_is_part_of_the_store(monkeypatch):
     assert float(waves["peaks"].largest) > 0
     assert waves["peaks"].largest.attrs["long_name"] == "largest density of w"
     assert waves["peaks"].attrs["depth"] == 0.7
-
-
-def test_an_unknown_option_of_the_analysis_is_named():
-    with pytest.raises(TypeError, match="segments"):
-        wv.analyze(xr.Dataset(), segments=8)
