@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wavefield.explorer import parts
 from wavefield.explorer.parts import Place, plain, text_line
 from wavefield.explorer.record import LookSession, nearest
-from wavefield.figures.display import KINDS, MARKS_ACROSS, quality_kind
+from wavefield.figures.display import KINDS, quality_kind, thin
 from wavefield.rig import Camera
 from wavefield.series.masks import WATER
 
@@ -227,10 +227,9 @@ class CameraPanel:
         record, drawing = self._session.record, parts.chosen(self.overlay) == "nodes"
         fields = {name: record.field(name, place.step) for name in ("z", *_MOTION, "quality")}
         x, y = np.meshgrid(record.x, record.y)
-        every = max(1, round(max(x.shape) / MARKS_ACROSS))
-        all_, thin = slice(None), (slice(every // 2, None, every),) * 2
+        all_, some = slice(None), (thin(*x.shape),) * 2
         self._nodes = visible_nodes(
-            camera, x[thin], y[thin], {name: field[thin] for name, field in fields.items()},
+            camera, x[some], y[some], {name: field[some] for name, field in fields.items()},
             1.0 / record.frame_rate,
         )  # fmt: skip
         of_a_kind = self._nodes["kind"] < len(KINDS)

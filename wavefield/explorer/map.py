@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from wavefield.explorer import parts
 from wavefield.explorer.parts import Place, number
 from wavefield.explorer.record import CubeRecord
-from wavefield.figures.display import KINDS, MARKS_ACROSS, display, drawn_kind, limit
+from wavefield.figures.display import KINDS, display, drawn_kind, limit, thin
 
 Field = NDArray[np.floating]
 _WHERE = ("x, y", "$x{0.000}, $y{0.000} m")
@@ -46,12 +46,11 @@ def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Fiel
     """Return lines x, y (7 n,), metres, that draw n velocity arrows, and their scale, m per m/s.
     u, v (ny, nx) are in m/s at x (nx,), y (ny,), metres. Each arrow has six points and a NaN after them. An
     arrow of the speed `fastest`, m/s, is a little longer than the distance between arrows."""
-    every = max(1, round(max(len(x), len(y)) / MARKS_ACROSS))
-    thin = slice(every // 2, None, every)
-    gap = every * float(np.mean(np.diff(x)))
+    some = thin(len(x), len(y))
+    gap = some.step * float(np.mean(np.diff(x)))
     metres = 1.2 * gap / fastest if fastest > 0 else 0.0
-    px, py = np.meshgrid(x[thin], y[thin])
-    dx, dy = metres * u[thin, thin], metres * v[thin, thin]
+    px, py = np.meshgrid(x[some], y[some])
+    dx, dy = metres * u[some, some], metres * v[some, some]
     drawn = np.hypot(dx, dy) > 0.04 * gap  # False where NaN
     px, py, dx, dy = (part[drawn] for part in (px, py, dx, dy))
     tip_x, tip_y, end = px + dx, py + dy, np.full_like(px, np.nan)

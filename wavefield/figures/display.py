@@ -11,7 +11,7 @@ from wavefield.variables import TABLE, Quality
 SIGNED, POSITIVE = "RdBu_r", "cividis"  # colour maps that keep their order for colour-blind readers
 BALANCE = ("z", "z_t", "u", "v", "w")  # the variables of the kinematic condition
 DERIVED = ("vorticity", "divergence", "residual")  # computed from those
-MARKS_ACROSS = 24  # arrows or dots drawn along the longer side of a grid, so that each can be told apart
+MARKS_ACROSS = 24  # arrows or dots along the longer side of a grid, so that each can be told apart
 
 # by stored unit: factor to the displayed unit, and that unit
 _UNITS = {
@@ -21,6 +21,12 @@ _UNITS = {
     "pixel": (1.0, "px"),
     "1": (1.0, ""),
 }
+
+
+def thin(*sizes: int) -> slice:
+    """Return the slice of each axis that leaves about `MARKS_ACROSS` nodes along the longest of them."""
+    every = max(1, round(max(sizes) / MARKS_ACROSS))
+    return slice(every // 2, None, every)
 
 
 def limit(values: ArrayLike, percent: float = 99.5) -> float:

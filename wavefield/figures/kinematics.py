@@ -22,7 +22,6 @@ from wavefield.figures.style import (
 )
 
 _COHERENCES = {"w": "z_t with w", "nl": "z_t with −u·∇z", "tot": "z_t with w − u·∇z"}
-
 _TERMS = {"nonlinear": "nonlinear term u·∇z", "residual": "residual z_t − w + u·∇z"}
 
 

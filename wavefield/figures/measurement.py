@@ -53,9 +53,7 @@ def coverage_map(cube: xr.Dataset) -> Figure:
     shares = _quality_shares(cube.quality, ("time",)).compute()
     figure, axes = map_panels(cube.quality, 2)
     for ax, name in zip(axes[0], ("measured", "filled from neighbours"), strict=True):
-        draw_map(
-            ax, shares[name], "fraction of time (%)", factor=100, cmap=POSITIVE, scale=(0, 100), title=name
-        )
+        draw_map(ax, shares[name], "fraction of time (%)", 100, cmap=POSITIVE, scale=(0, 100), title=name)
     return figure
 
 

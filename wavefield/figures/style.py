@@ -31,12 +31,9 @@ HERTZ, CYCLES = "ω / 2π (Hz)", "k / 2π (m⁻¹)"
 _RC: Any = {
     "font.size": 10.5,
     "axes.titlesize": 11,
-    "axes.labelsize": 10.5,
-    "axes.grid": False,
     "xtick.major.pad": 5,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "figure.facecolor": "white",
 }
 
 

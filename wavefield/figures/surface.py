@@ -9,7 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from wavefield.figures.display import MARKS_ACROSS, SIGNED, limit
+from wavefield.figures.display import SIGNED, limit, thin
 from wavefield.figures.style import draw_map, map_panels, moment_title, panels, round_down
 
 MAX_POLYGONS = 70  # along each axis of the 3D view; more take seconds without a visible difference
@@ -77,12 +77,11 @@ def velocity_map(snapshot: xr.Dataset) -> Figure:
     figure, [[ax]] = map_panels(snapshot.w, 1, width=7.4)
     draw_map(ax, snapshot.w, "w (cm s⁻¹)", factor=100)
     ax.set_title(moment_title(snapshot), loc="left")
-    stride = max(1, round(max(snapshot.sizes["x"], snapshot.sizes["y"]) / MARKS_ACROSS))
-    thin = slice(stride // 2, None, stride)
-    part = snapshot[["u", "v"]].isel(x=thin, y=thin).transpose("y", "x")
+    some = thin(snapshot.sizes["x"], snapshot.sizes["y"])
+    part = snapshot[["u", "v"]].isel(x=some, y=some).transpose("y", "x")
     u, v = 100 * part.u.values.astype(float), 100 * part.v.values.astype(float)
     fastest = limit(np.hypot(u, v), 98)
-    spacing = stride * float(np.mean(np.diff(snapshot.x.values)))
+    spacing = some.step * float(np.mean(np.diff(snapshot.x.values)))
     scale: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": fastest / (1.4 * spacing)}
     arrows = ax.quiver(part.x.values, part.y.values, u, v, width=0.0028, color="black", **scale)
     key = round_down(fastest)

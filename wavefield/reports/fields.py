@@ -10,7 +10,7 @@ from matplotlib import colormaps
 
 from wavefield import figures
 from wavefield.errors import WavefieldError
-from wavefield.figures.display import MARKS_ACROSS, SIGNED, limit
+from wavefield.figures.display import SIGNED, limit, thin
 from wavefield.pipeline import Run
 from wavefield.reports.html import Item, Picture, ReportSection, Table
 from wavefield.reports.numbers import extremes_of, number, snapshot, thinned
@@ -246,13 +246,11 @@ MAX_BYTES = 1_500_000  # of the uncompressed fields; compression halves them at 
 def excerpt(cube: xr.Dataset) -> xr.Dataset:
     """Return z, u, v, w (time, y, x), loaded, for the animation.
     Only steps in the middle of the record and every n-th node are kept, so that they fit into a page."""
-    thin = max(1, int(np.ceil(np.sqrt(cube.sizes["x"] * cube.sizes["y"] / MAX_NODES))))
-    nodes = -(-cube.sizes["x"] // thin) * -(-cube.sizes["y"] // thin)
-    steps = max(2, MAX_BYTES // (2 * nodes))
+    every = max(1, int(np.ceil(np.sqrt(cube.sizes["x"] * cube.sizes["y"] / MAX_NODES))))
+    part = cube[["z", "u", "v", "w"]].isel(x=slice(None, None, every), y=slice(None, None, every))
+    steps = max(2, MAX_BYTES // (2 * part.sizes["x"] * part.sizes["y"]))
     first = max(0, (cube.sizes["time"] - steps) // 2)
-    part = cube[["z", "u", "v", "w"]].isel(time=slice(first, first + steps))
-    thinned = part.isel(x=slice(None, None, thin), y=slice(None, None, thin))
-    return thinned.transpose("time", "y", "x").load()
+    return part.isel(time=slice(first, first + steps)).transpose("time", "y", "x").load()
 
 
 def _code(values: np.ndarray, half: float) -> str:
@@ -267,9 +265,8 @@ def _code(values: np.ndarray, half: float) -> str:
 def pack(cube: xr.Dataset) -> dict[str, str]:
     """Return the data of the animation of a cube (time, y, x), as text by the name of the HTML element."""
     part = excerpt(cube)
-    every = max(1, round(max(part.sizes["x"], part.sizes["y"]) / MARKS_ACROSS))
-    thin = slice(every // 2, None, every)
-    arrows = 100 * part[["u", "v"]].isel(x=thin, y=thin).astype(float)
+    some = thin(part.sizes["x"], part.sizes["y"])
+    arrows = 100 * part[["u", "v"]].isel(x=some, y=some).astype(float)
     fastest = limit(np.hypot(arrows.u.values, arrows.v.values), 98)
     fields = {name: 100 * part[name].values.astype(float) for name in "zw"}
     ends = {name: limit(values) for name, values in fields.items()}
@@ -284,7 +281,7 @@ def pack(cube: xr.Dataset) -> dict[str, str]:
             "x": arrows.x.values.tolist(),
             "y": arrows.y.values.tolist(),
             "fastest": fastest,
-            "length": 1.4 * every * float(np.mean(np.diff(part.x.values))),
+            "length": 1.4 * some.step * float(np.mean(np.diff(part.x.values))),
         },
         "colours": np.rint(255 * colormaps[SIGNED](np.linspace(0, 1, 256))[:, :3]).astype(int).tolist(),
     }
