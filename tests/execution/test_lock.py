@@ -8,13 +8,13 @@ import threading
 import pytest
 
 from wavefield.errors import StoreError
-from wavefield.execution.lock import Lock
+from wavefield.execution.lock import locked
 
 HOLDER = """
 import os, sys, time
 from pathlib import Path
-from wavefield.execution.lock import Lock
-with Lock.hold(Path(sys.argv[1])):
+from wavefield.execution.lock import locked
+with locked(Path(sys.argv[1])):
     print("held", flush=True)
     {then}
 """
@@ -45,8 +45,8 @@ def other(tmp_path):
 
 def test_a_store_is_held_by_one_run_and_nothing_is_left(tmp_path):
     store = tmp_path / "cube.zarr"
-    with Lock.hold(store):
-        with pytest.raises(StoreError, match="another run is writing"), Lock.hold(store):
+    with locked(store):
+        with pytest.raises(StoreError, match="another run is writing"), locked(store):
             pass
         assert left(tmp_path) == [".cube.zarr.lock"]
     assert left(tmp_path) == []
@@ -55,14 +55,14 @@ def test_a_store_is_held_by_one_run_and_nothing_is_left(tmp_path):
 def test_a_run_of_another_process_is_respected_whatever_the_clock_does(tmp_path, other):
     other("time.sleep(60)")
     os.utime(tmp_path / ".cube.zarr.lock", (0, 0))
-    with pytest.raises(StoreError, match="another run is writing"), Lock.hold(tmp_path / "cube.zarr"):
+    with pytest.raises(StoreError, match="another run is writing"), locked(tmp_path / "cube.zarr"):
         pass
 
 
 def test_the_lock_of_a_killed_run_is_free(tmp_path, other):
     other("os.kill(os.getpid(), 9)").wait()
     assert left(tmp_path) == [".cube.zarr.lock"]
-    with Lock.hold(tmp_path / "cube.zarr"):
+    with locked(tmp_path / "cube.zarr"):
         pass
     assert left(tmp_path) == []
 
@@ -73,7 +73,7 @@ def test_of_many_that_come_at_once_one_gets_it(tmp_path):
     def come(number):
         ready.wait()
         try:
-            with Lock.hold(tmp_path / "cube.zarr"):
+            with locked(tmp_path / "cube.zarr"):
                 got.append(number)
                 done.wait()
         except StoreError:
@@ -94,7 +94,7 @@ def test_a_file_of_the_user_under_that_name_stays(tmp_path, kind):
     path.symlink_to("mine") if kind == "link" else path.write_text("mine")
     with (
         pytest.raises(StoreError, match="is not a lock that wavefield wrote"),
-        Lock.hold(tmp_path / "cube.zarr"),
+        locked(tmp_path / "cube.zarr"),
     ):
         pass
     assert path.read_text() == "mine"

@@ -10,10 +10,10 @@ REFUSED = {
     "grid in centimetres": "`grid` is in metres: the cameras see {x: [",
     "grid in inches": "% of the grid in common view",
     "bead_height in millimetres": "bead_height of 0.4 m does not fit below cameras",
+    "the first frame of another size": "rig.yaml was made for images of cam1 of 256 x 256 px, but these have",
     "density in g cm-3": "water.density should be greater than or equal to 400",
 }
 FOUND = {
-    "the first frame of another size": "1 of 13 frames read have another size or type than the others",
     "grid of four times the field": "of the grid's nodes",
     "no room on the disk": "Free some space",
 }

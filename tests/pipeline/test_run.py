@@ -15,7 +15,7 @@ from cube_cases import FRAMES, HERE, different, far_apart
 
 from wavefield.commands.cli import main
 from wavefield.errors import RunStopped, StoreError
-from wavefield.execution.lock import Lock
+from wavefield.execution.lock import locked
 from wavefield.measurement import sample_steps
 from wavefield.pipeline import Workflow, chunk, open_cube, run, status
 from wavefield.store import write_cube
@@ -185,7 +185,7 @@ def test_two_recipes_are_not_mixed(tank, tmp_path):
 
 def test_two_runs_do_not_write_one_store(tank, tmp_path):
     out = tmp_path / "cube.zarr"
-    with Lock.hold(out), pytest.raises(StoreError, match="another run is writing"):
+    with locked(out), pytest.raises(StoreError, match="another run is writing"):
         run(tank, out=out, workflow=HERE)
     assert not out.exists()
 

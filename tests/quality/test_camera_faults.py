@@ -67,7 +67,7 @@ def late(name, frame):
     [
         (mirrored, "cam1", "mirrored", "its images are mirrored"),
         (swapped, "cam1", "swapped", "only as images of cam2"),
-        (late, "cam3", "offset", "Subtract 1 from its `offset`"),
+        (late, "cam3", "offset", "differ from those of the others by +1"),
         (covered, "cam2", "covered", "have no texture in"),
         (Shots(11, cam2={"defocus": 2.0}), "cam2", "blurred", "blurred by"),
     ],
@@ -127,12 +127,9 @@ def test_waves_steeper_or_higher_than_patches_are_searched_for_are_no_disagreeme
     assert check(simulate(scene, tmp_path), rig=scene.build_rig(), workflow=HERE).exit_status == 0
 
 
-@pytest.mark.parametrize(
-    ("thickness", "found"), [(0.0005, []), (0.004, [("light sheet", "remark")])], ids=["thin", "deep"]
-)
-def test_a_sound_light_sheet_is_not_called_untrustworthy_for_its_depth(thickness, found, tmp_path):
+@pytest.mark.parametrize("thickness", [0.0005, 0.004], ids=["thin", "deep"])
+def test_a_sound_light_sheet_is_not_called_untrustworthy_for_its_depth(thickness, tmp_path):
     surface = {"kind": "sheet", "thickness": thickness}
     scene = Scene.load("sheet").with_(frames=2, seed=11, surface=surface, calibration={"tilted": 0})
     experiment = simulate(scene, tmp_path, workers=1)
-    remarks = compare_cameras(prepare(experiment, scene.build_rig()), np.zeros(0, np.uint16)).remarks
-    assert [(one.kind, one.weight) for one in remarks] == found
+    assert compare_cameras(prepare(experiment, scene.build_rig()), np.zeros(0, np.uint16)).remarks == ()

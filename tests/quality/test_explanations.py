@@ -12,7 +12,7 @@ from wavefield.store.verdict import Remark
 
 def kinds_of_remarks():
     """The kinds of all remarks that the package can make."""
-    found = {kind for kind, *_ in CAMERA_FAULTS.values()}
+    found = set(CAMERA_FAULTS)
     for path in Path(wavefield.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Remark" and len(node.args) > 1:

@@ -223,7 +223,7 @@ def test_images_that_a_camera_dropped_leave_gaps_where_its_file_holds_times(tmp_
     np.testing.assert_array_equal(series["a"].read(6).image, images(8)[4])
     reported = [str(remark) for remark in remark_on_recordings(experiment, series)]
     assert len(reported) == 1
-    assert reported[0].startswith("a: 2 images were dropped, by its clock, the first after frame 2 (0.001 s")
+    assert reported[0].startswith("a: 2 of 7 frames are missing: 3-4")
     close_files()
 
 
@@ -243,8 +243,7 @@ def test_a_camera_that_alone_dropped_images_stays_aligned_with_the_others(tmp_pa
     even = 9.0 + np.arange(80) / 2000
     reported, missing = remarks_on(tmp_path, a=even, b=np.delete(even, [7, 8, 40]) + 0.3)
     assert missing == {"a": [], "b": [7, 8, 40]}
-    assert list(reported) == [("b", "missing frames")]
-    assert reported["b", "missing frames"].values == {"dropped": 3, "first": 6}
+    assert not reported  # fewer than a tenth
 
 
 def test_recordings_in_a_row_keep_the_time_between_them(tmp_path):

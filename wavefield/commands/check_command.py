@@ -160,11 +160,12 @@ def explain(context: click.Context, code: str | None) -> None:
 
     CODE is the word in brackets at the end of the remark; without it, all codes are listed.
     """
-    from wavefield.quality.remarks import EXPLANATIONS, first_sentence
+    from wavefield.quality.remarks import EXPLANATIONS
 
     if code is None:
         formatter = context.make_formatter()
-        formatter.write_dl([(name, first_sentence(text)) for name, text in EXPLANATIONS.items()])
+        first_sentences = {name: text.partition(". ")[0].rstrip(".") for name, text in EXPLANATIONS.items()}
+        formatter.write_dl([(name, f"{sentence}.") for name, sentence in first_sentences.items()])
         click.echo(formatter.getvalue(), nl=False)
         return
     name = code.strip("[]").lower()

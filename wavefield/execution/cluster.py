@@ -50,8 +50,7 @@ _SCHEDULER_TIMEOUT = "20s"  # to connect to a scheduler that is running already
 
 
 def count_workers(workflow: Workflow) -> int:
-    """Return the greatest number of workers that a workflow asks for.
-    It is 1 for ``cluster: none``, and the number of cores of this machine for ``workers: auto``."""
+    """Return the greatest number of workers that a workflow asks for; for ``auto``, the number of cores."""
     if workflow.cluster == "none":
         return 1
     if workflow.workers == "auto":
@@ -76,8 +75,7 @@ def open_cluster(
     """Context manager: start the workers of a workflow, and end them at the end of the block.
     It yields a function of (work, items). This function yields each item with its result, or with the
     exception that the work raised, in the order of completion. `logs` is the folder for the output of Slurm
-    jobs. `imports` are modules that workers on this machine import at their start. Raises ExperimentError or
-    StoreError if workers or the scheduler do not start or are lost."""
+    jobs. `imports` are modules that workers on this machine import at their start."""
     if workflow.cluster == "none" or (workflow.cluster == "local" and count_workers(workflow) == 1):
         yield _map_here
         return
@@ -102,7 +100,7 @@ def _connect(
     workflow: Workflow, logs: Path, imports: Sequence[str], stack: ExitStack
 ) -> tuple["Client", Watch]:
     """Return a client of the workflow's scheduler, and a function that checks its workers.
-    Both, and the workers, are closed with `stack`. `logs` and `imports` are as for `open_cluster`."""
+    Both, and the workers, are closed with `stack`."""
     from distributed import Client
 
     if workflow.cluster == "address":
@@ -114,25 +112,20 @@ def _connect(
                 "`dask scheduler`, or correct `address` in the workflow"
             ) from None
         return stack.enter_context(client), _WithoutWorkers()
-    watch: Watch = lambda client: None  # noqa: E731
     if workflow.cluster == "slurm":
         from wavefield.execution.slurm import QueueWatch, slurm_cluster
 
         cluster = stack.enter_context(slurm_cluster(workflow, logs))
-        watch = QueueWatch(cluster)
-    else:
-        cluster = stack.enter_context(_local_cluster(workflow, imports))
-        stack.callback(_end_workers, cluster)
+        return stack.enter_context(Client(cluster, timeout="60s", set_as_default=False)), QueueWatch(cluster)
+    cluster = stack.enter_context(_local_cluster(workflow, imports))
+    stack.callback(_end_workers, cluster)
     client = stack.enter_context(Client(cluster, timeout="60s", set_as_default=False))
-    if workflow.cluster == "local":
-        cluster.scale(count_workers(workflow))  # after the client, which would wait for the workers
-        watch = _LocalWorkers()
-    return client, watch
+    cluster.scale(count_workers(workflow))  # after the client, which would wait for the workers
+    return client, _LocalWorkers()
 
 
 def _local_cluster(workflow: Workflow, imports: Sequence[str]) -> Any:
-    """Return a Dask cluster on this machine that has no workers yet.
-    Its workers will import the modules `imports` at their start."""
+    """Return a Dask cluster on this machine, still without workers, which will first import `imports`."""
     from distributed import LocalCluster
     from distributed.utils import get_mp_context
 
@@ -208,8 +201,7 @@ def _map_here(work: Work, items: Sequence[Any]) -> Results:
 
 def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Sequence[Any]) -> Results:
     """Yield each item with its result or the exception raised, in the order in which workers finish.
-    At most two items for each of `workers` are submitted at a time. `watch(client)` is called every few
-    seconds and may raise an error. StoreError if the scheduler is lost."""
+    `watch(client)` is called every few seconds. StoreError if the scheduler is lost."""
     from distributed import CancelledError, wait
 
     packed, mark = pickle.dumps(work), uuid.uuid4().hex
@@ -242,22 +234,32 @@ def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Seq
 
 def _result(task: Any) -> Any:
     """Return the result of a Dask task that has ended, or the exception that it raised.
-    Dask's errors on killed workers and on loading wavefield are replaced by errors that tell what to do.
-    Dask's CancelledError is raised."""
-    from distributed import CancelledError
+    Dask's errors on killed workers and on loading wavefield are replaced by errors that tell what to do."""
+    from distributed import CancelledError, KilledWorker
 
     try:
         return task.result()
     except CancelledError:
         raise
+    except KilledWorker as error:
+        return StoreError(
+            f"{error.allowed_failures + 1} workers ended while they worked on it: if memory ran out, give "
+            "more `memory`, fewer `workers` or a smaller `steps_per_block` in the workflow; `cluster: none` "
+            "shows any other cause"
+        )
     except Exception as error:
-        return _as_sentence(error)
+        missing = isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("wavefield")
+        if isinstance(error, WavefieldError) or not (missing or "deserialization" in str(error)):
+            return error
+        return ExperimentError(
+            f"scheduler or workers cannot load wavefield {wavefield.__version__} ({error}); start them from "
+            "an environment in which it is installed"
+        )
 
 
 def _do(packed: bytes, versions: str, item: Any) -> Any:
-    """Return the result of the work for an item; Dask calls this function on a worker.
-    `packed` is the pickled work. ExperimentError if the run has other `versions` of Python or wavefield than
-    this worker."""
+    """Return the result of the pickled work for an item; Dask calls this function on a worker.
+    ExperimentError if the run has other `versions` of Python or wavefield than this worker."""
     if own_versions() != versions:
         raise ExperimentError(
             f"the workers run {own_versions()} ({sys.executable}), but the run {versions}: start both from "
@@ -280,23 +282,3 @@ def _unpacked(packed: bytes) -> Work:
 def own_versions() -> str:
     """Return the versions of Python (major and minor) and wavefield of this process, as text."""
     return f"Python {sys.version_info[0]}.{sys.version_info[1]}, wavefield {wavefield.__version__}"
-
-
-def _as_sentence(error: BaseException) -> BaseException:
-    """Return `error`, or an error that tells what to do if Dask's workers ended or lack wavefield.
-    StoreError replaces Dask's KilledWorker, ExperimentError an error on loading wavefield."""
-    from distributed import KilledWorker
-
-    if isinstance(error, KilledWorker):
-        return StoreError(
-            f"{error.allowed_failures + 1} workers ended while they worked on it: if memory ran out, give "
-            "more `memory`, fewer `workers` or a smaller `steps_per_block` in the workflow; `cluster: none` "
-            "shows any other cause"
-        )
-    missing = isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("wavefield")
-    if not isinstance(error, WavefieldError) and (missing or "deserialization" in str(error)):
-        return ExperimentError(
-            f"scheduler or workers cannot load wavefield {wavefield.__version__} ({error}); start them from "
-            "an environment in which it is installed"
-        )
-    return error

@@ -5,7 +5,6 @@ The operating system releases the lock when its process ends, even if it is kill
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -14,32 +13,21 @@ from wavefield.atomic_write import writing
 from wavefield.errors import StoreError
 
 
-@dataclass(frozen=True)
-class Lock:
-    """The right to write a store, obtained from `hold`."""
-
-    store: Path  # The store that may be written
-
-    @classmethod
-    @contextmanager
-    def hold(cls, store: Path) -> Iterator["Lock"]:
-        """Context manager: lock a store by a file next to it, and remove that file at the end.
-        StoreError at once if another run holds the lock, or if the file's name belongs to a file that is no
-        lock."""
-        path = store.with_name(f".{store.name}.lock")
-        lock = FileLock(path, timeout=0)
-        with writing(store):
-            store.parent.mkdir(parents=True, exist_ok=True)
-            if path.is_symlink() or (path.exists() and (not path.is_file() or path.stat().st_size)):
-                raise StoreError(
-                    f"{path} is not a lock that wavefield wrote; move it, or choose another name"
-                )
-            try:
-                lock.acquire()
-            except Timeout:
-                raise StoreError(f"another run is writing {store}; wait for it, or stop it") from None
+@contextmanager
+def locked(store: Path) -> Iterator[None]:
+    """Context manager: lock a store by a file next to it; StoreError if another run holds the lock."""
+    path = store.with_name(f".{store.name}.lock")
+    lock = FileLock(path, timeout=0)
+    with writing(store):
+        store.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_symlink() or (path.exists() and (not path.is_file() or path.stat().st_size)):
+            raise StoreError(f"{path} is not a lock that wavefield wrote; move it, or choose another name")
         try:
-            yield cls(store)
-        finally:
-            path.unlink(missing_ok=True)  # before the release, after which another run may hold the file
-            lock.release()
+            lock.acquire()
+        except Timeout:
+            raise StoreError(f"another run is writing {store}; wait for it, or stop it") from None
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)  # before the release, after which another run may hold the file
+        lock.release()

@@ -73,8 +73,7 @@ def one_opencv_thread() -> Iterator[None]:
 
 
 def keep_memory() -> None:
-    """Make the C library (glibc) keep the memory of freed arrays for this process, until its end.
-    With another C library nothing is done."""
+    """Make the C library keep the memory of freed arrays for this process, until its end (glibc only)."""
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):  # another C library, another system
@@ -85,8 +84,7 @@ def keep_memory() -> None:
 
 @functools.cache
 def set_up_worker() -> None:
-    """Configure this process as a worker: one OpenCV thread, memory of freed arrays kept, no named locks.
-    A second call does nothing."""
+    """Configure this process as a worker: one OpenCV thread, memory of freed arrays kept, no named locks."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -127,10 +125,7 @@ def memory_error(error: Exception) -> StoreError | None:
 
 
 class Stopped(KeyboardInterrupt):
-    """Raised in a run that is stopped by its time limit or by a signal other than Ctrl-C.
-
-    The text of the exception names the cause.
-    """
+    """Raised in a run that is stopped by its time limit or by a signal, named in its text."""
 
 
 def stopped_by(stop: KeyboardInterrupt) -> str:
@@ -150,8 +145,7 @@ def _in_main_thread() -> bool:
 @contextmanager
 def stop_signals(time_limit: float | None = None) -> Iterator[None]:
     """Context manager: raise `Stopped` on SIGTERM, SIGHUP, SIGUSR1 or after the time limit (s).
-    Slurm sends SIGUSR1 before the end of a job. Signals that the process ignores stay ignored. Outside the
-    main thread the context manager has no effect."""
+    Slurm sends SIGUSR1 before the end of a job. There is no effect outside the main thread."""
     if not _in_main_thread():
         yield
         return
@@ -177,9 +171,8 @@ def stop_signals(time_limit: float | None = None) -> Iterator[None]:
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Context manager: delay the effect of signals that stop a run until the block ends.
-    A second signal takes effect at once. Without the delay, interrupting the start of Dask prints tracebacks,
-    and Ctrl-C during an import may be lost."""
+    """Context manager: delay the effect of signals that stop a run until the block ends, or a second comes.
+    Without it, interrupting the start of Dask prints tracebacks, and Ctrl-C in an import may be lost."""
     if not _in_main_thread():
         yield
         return
@@ -210,8 +203,7 @@ def deferred_signals() -> Iterator[None]:
 
 @contextmanager
 def children_ignore_ctrl_c() -> Iterator[None]:
-    """Context manager: processes started in the block do not receive SIGINT (Ctrl-C) and SIGUSR1.
-    The run itself ends its processes. SIGUSR1 is Slurm's warning before the end of a job."""
+    """Context manager: processes started in the block ignore SIGINT (Ctrl-C) and SIGUSR1 (from Slurm)."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -30,8 +30,7 @@ def jobs_folder(store: Path) -> Path:
 
 @contextmanager
 def log_file(store: Path) -> Iterator[None]:
-    """Context manager: append the messages of a run to the log next to its store.
-    Raises StoreError if another file has the name of the log, or if the log cannot be written."""
+    """Context manager: append the messages of a run to the log next to its store."""
     with writing(store):
         store.parent.mkdir(parents=True, exist_ok=True)
         path = log_path(store)

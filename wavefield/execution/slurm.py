@@ -25,9 +25,7 @@ _MAX_LINE = 300  # characters of a log line that are quoted in a message
 
 def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
     """Start a `dask_jobqueue.SLURMCluster`, which submits the jobs of a workflow to Slurm.
-    `logs` is the folder for the output of the jobs; it is made. The method ``job_script()`` of the result
-    returns the job script. ExperimentError if the block ``slurm`` of the workflow has unknown keywords, if
-    the folder cannot be written, or if this is not the main thread."""
+    `logs` is the folder for the output of the jobs; it is made."""
     _import_jobqueue()
     from dask_jobqueue import SLURMCluster
     from dask_jobqueue.core import Job as JobBase
@@ -56,11 +54,8 @@ def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
 
         def close(self, timeout: float | None = None) -> Any:
             out = super().close(timeout)
-            for name in (
-                "ca_file",
-                "cert",
-                "key",
-            ):  # Dask would leave the credentials to the garbage collector
+            # Dask would leave the credentials to the garbage collector
+            for name in ("ca_file", "cert", "key"):
                 if secret := getattr(self, f"_job_{name}", None):
                     secret.close()
             return out
@@ -91,8 +86,7 @@ def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
 
 
 def _import_jobqueue() -> None:
-    """Import dask-jobqueue, which replaces the handler of Ctrl-C, and restore the handler.
-    ExperimentError outside the main thread."""
+    """Import dask-jobqueue, which replaces the handler of Ctrl-C, and restore the handler."""
     try:
         interrupt = signal.getsignal(signal.SIGINT)
         import dask_jobqueue  # noqa: F401
@@ -104,9 +98,7 @@ def _import_jobqueue() -> None:
 
 
 def _keywords(workflow: Workflow, logs: Path) -> dict[str, Any]:
-    """Return the keywords for SLURMCluster: wavefield's own, replaced or extended by the user's.
-    The user gives them in the block ``slurm`` of the workflow. `logs` is the folder for the output of
-    jobs."""
+    """Return the keywords for SLURMCluster: wavefield's own, replaced or extended by the workflow's."""
     given = dict(workflow.slurm)
     cores = int(given.get("cores", 1))
     environment = WORKER_ENVIRONMENT | {
@@ -115,8 +107,7 @@ def _keywords(workflow: Workflow, logs: Path) -> dict[str, Any]:
         if not isinstance(value, dict)
     }
     lines = [f"export {name}={str(value)!r}" for name, value in environment.items()]
-    # cache of compiled kernels: not in the home folder, which may be full and
-    # is shared by different processors
+    # cache of compiled kernels: not in the home folder, which different processors may share
     lines.append('export NUMBA_CACHE_DIR="${NUMBA_CACHE_DIR:-${TMPDIR:-/tmp}/wavefield-$(id -u)}"')
     return {
         "cores": cores,
@@ -144,8 +135,7 @@ def _processes(workflow: Workflow) -> int:
 
 
 def count_jobs(workflow: Workflow) -> tuple[int, int]:
-    """Return the least and the greatest number of Slurm jobs that the workers of a workflow need.
-    Both are 1 if the workflow says ``workers: auto``."""
+    """Return the least and the greatest number of Slurm jobs that a workflow needs; for ``auto``, 1."""
     workers, processes = workflow.workers, _processes(workflow)
     if workers == "auto":
         return 1, 1
@@ -155,8 +145,7 @@ def count_jobs(workflow: Workflow) -> tuple[int, int]:
 
 class QueueWatch:
     """A check, called during a run, that warns why jobs wait in Slurm's queue.
-    It raises ExperimentError if Slurm rejects the jobs, or if all jobs have ended before a worker started.
-    Without it a run with a mistyped partition would wait for ever."""
+    It raises ExperimentError if no job can start, for which Dask would wait for ever."""
 
     def __init__(self, cluster: Any) -> None:
         self._cluster = cluster
@@ -209,8 +198,7 @@ def _refusal(text: str) -> str:
 
 
 def queue_of(user: str) -> dict[str, tuple[str, str]] | None:
-    """Return (state, reason) of each job of a user in Slurm's queue, by job number.
-    Jobs in the state COMPLETING are left out. None if the command ``squeue`` fails."""
+    """Return (state, reason) of each job of a user in Slurm's queue, by job number; None if squeue fails."""
     command = ["squeue", "--noheader", f"--user={user}", "--format=%A|%T|%r"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
@@ -221,9 +209,7 @@ def queue_of(user: str) -> dict[str, tuple[str, str]] | None:
 
 
 def why_ended(numbers: Sequence[str], logs: Path) -> str:
-    """Return a message on jobs that ended before their workers started.
-    It quotes the last line of the first log that has one. `numbers` are the job numbers, `logs` is the folder
-    of the logs."""
+    """Return a message on jobs that ended before their workers started, with the last line of a log."""
     head = f"Slurm job {numbers[-1]} ended before its worker started; "
     for number in numbers:
         for path in sorted(logs.glob(f"*-{number}*")):

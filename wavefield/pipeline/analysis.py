@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wavefield.atomic_write import write_error, writing
-from wavefield.errors import CubeError, ExperimentError, RunStopped, StoreError
+from wavefield.errors import ExperimentError, RunStopped, StoreError
 from wavefield.execution.cluster import MapUnordered, open_cluster
 from wavefield.execution.process import stop_signals, stopped_by
 from wavefield.execution.run_log import jobs_folder, log_file
@@ -27,12 +27,8 @@ _WORKER_IMPORTS = ("wavefield.pipeline.analysis", "wavefield.waves.analysis")
 def _open(cube: "str | Path | xr.Dataset") -> "xr.Dataset":
     import xarray as xr
 
-    if isinstance(cube, xr.Dataset):
-        return cube
     if not isinstance(cube, str | Path):
-        raise CubeError(
-            f"analyze needs a cube or the path of one, got a {type(cube).__name__}: give the cube itself"
-        )
+        return cube
     from wavefield.store.cube import open_stored
     from wavefield.store.read import find_store, is_cube
 
@@ -56,6 +52,8 @@ def analyze(
 ) -> "xr.DataTree":
     """Compute the waves of a cube: spectra, coherence, kinematics, statistics, dispersion, fusion and more.
 
+    It takes one pass over the cube in bounded memory; the result does not depend on the cube's chunks.
+
     Parameters
     ----------
     cube : path or Dataset
@@ -65,8 +63,8 @@ def analyze(
     progress : callable, optional
         Called with the number of parts done and of all parts.
     each : callable, optional
-        ``each(work, items)`` applies ``work`` to every item on workers and yields the results in order. Only
-        for a cube in a store; `wavefield.analyze_on_workers` makes such a function.
+        ``each(work, items)`` applies ``work`` to every item on workers and yields the results in order, for a
+        cube in a store; see `wavefield.analyze_on_workers`.
     **options
         Any of the following:
 
@@ -95,10 +93,6 @@ def analyze(
         the probes were not recording while the cameras were.
     StoreError
         If the cube or the gain cannot be read or the store cannot be written.
-
-    Notes
-    -----
-    One pass over the cube in bounded memory; the result does not depend on how the cube is chunked.
 
     Examples
     --------
@@ -141,41 +135,24 @@ def analyze_on_workers(
 
     Parameters
     ----------
-    cube : path
-        A cube's store, on a disk that all workers see.
-    out : path
-        Zarr store to write, on such a disk: partial sums are stored next to it and removed at the end.
+    cube, out : path
+        A cube's store, and the Zarr store to write, on a disk that all workers see.
     workflow : path or Workflow
-        Where to work.
+        Where to work, such as ``wf.Workflow(cluster="local", workers=4)``.
     **options
         Further keywords of `wavefield.analyze`: probes, segment, depth and others.
 
     Returns
     -------
     DataTree
-        As `wavefield.analyze` gives it.
+        As `wavefield.analyze` gives it; errors are those of `analyze`, too.
 
     Raises
     ------
-    CubeError, StoreError
-        As `wavefield.analyze` raises them.
     ExperimentError
         If the cluster cannot be started or its scheduler not be reached.
     RunStopped
         If it was interrupted, by Ctrl-C, a signal or the workflow's time limit.
-
-    Notes
-    -----
-    The record is cut into chains of four segments whatever the workers are; each chain is summed by one
-    worker, and the sums of the chains are added in their order.
-
-    Examples
-    --------
-    >>> import wavefield as wf
-    >>> workflow = wf.Workflow(cluster="local", workers=4)
-    >>> waves = wf.analyze_on_workers("cube.zarr", "cube_waves.zarr", workflow, depth=0.7)  # doctest: +SKIP
-    >>> waves["coherence"].C.dims  # doctest: +SKIP
-    ('term', 'k')
     """
     if not isinstance(workflow, Workflow):
         workflow = Workflow.load(workflow)
@@ -199,17 +176,14 @@ def analyze_on_workers(
 
 def _through_disk(work: Callable[[Any], Any], folder: Path, numbered: tuple[int, Path]) -> Path:
     """Read a pickled item from a file, apply `work` to it, and return the path of the pickled result.
-    `numbered` is the number of the item and its file; the result is written in `folder`. Items and results
-    are too large for messages between processes."""
-    return _dump(work(_load(numbered[1])), folder)
-
-
-def _load(path: Path) -> object:
+    Items, (number, file), and results are too large for messages between processes."""
     try:
-        with path.open("rb") as stream:
-            return pickle.load(stream)
+        item = pickle.loads(numbered[1].read_bytes())
     except FileNotFoundError:
-        raise _not_shared(path.parent.parent) from None
+        raise ExperimentError(
+            f"a worker does not see {folder.parent}: write the waves to a disk that all workers share"
+        ) from None
+    return _dump(work(item), folder)
 
 
 def _dump(item: object, folder: Path) -> Path:
@@ -217,25 +191,16 @@ def _dump(item: object, folder: Path) -> Path:
     try:
         with path.open("wb") as stream:
             pickle.dump(item, stream, pickle.HIGHEST_PROTOCOL)
-    except FileNotFoundError:
-        raise _not_shared(folder.parent) from None
     except OSError as error:
         raise write_error(folder.parent, error) from None
     return path
-
-
-def _not_shared(folder: Path) -> ExperimentError:
-    return ExperimentError(
-        f"a worker does not see {folder}: write the waves to a disk that all workers share"
-    )
 
 
 def _in_order(
     map_unordered: MapUnordered, folder: Path, work: Callable[[Any], object], items: Sequence[object]
 ) -> Iterator[Any]:
     """Apply `work` to the items on workers, and yield the results in the order of the items.
-    `map_unordered` runs the tasks on the workers. Items and results are files in `folder`; a result that
-    comes early waits there, and is removed once it has been yielded."""
+    Items and results are files in `folder`; a result that comes early waits there."""
     waiting: dict[int, Path] = {}
     requested = 0
     if not items:
@@ -248,7 +213,7 @@ def _in_order(
             waiting[number] = result
             while requested in waiting:
                 path = waiting.pop(requested)
-                yield _load(path)
+                yield pickle.loads(path.read_bytes())
                 path.unlink()
                 requested += 1
 
@@ -256,9 +221,8 @@ def _in_order(
 def write_smoothed(
     store: Path, output: Path | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Path:
-    """Write the smoothed fields of a cube (`wavefield.smooth`) to a Zarr store, and return its path.
-    `store` is that of the cube; `output` is by default next to it. A store appears only once it is complete.
-    `progress` is called with the number of steps written and of all steps."""
+    """Write the smoothed fields of a cube (`wavefield.smooth`) to a Zarr store, by default next to the cube.
+    Returns its path. `progress` is called with the number of steps written and of all steps."""
     import zarr
 
     from wavefield.atomic_write import Product, atomic, check_writable

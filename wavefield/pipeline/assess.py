@@ -1,7 +1,6 @@
 """Assess a cube: verdict, errors of each pair of cameras, terms of the standard uncertainties.
 
-The verdict is the list of remarks on a measurement, the gravest first. A step is the interval between two
-consecutive frames. The ledger is the status of each step, which the store keeps (`wavefield.store.ledger`).
+A step is the interval between two consecutive frames.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,29 +23,7 @@ from wavefield.measurement.error_budget import fast_waves, ripples
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.learning import both_frames, learn_record, samples
 from wavefield.pipeline.prepare import SAMPLE_STEPS, PreparedRun, expected_coverage, prepare
-from wavefield.quality.camera_motion import Synchrony, delays, remarks_on_clocks, remarks_on_mounts
-from wavefield.quality.cameras import INCONSISTENT, CameraFaults, PatchMatcher, find_camera_faults
-from wavefield.quality.record import (
-    COMPARED,
-    RiseRatios,
-    remark_on_cleared_steps,
-    remark_on_jitter,
-    remark_on_kinematics,
-    remark_on_recordings,
-    rise_ratios,
-    steps_to_leave_out,
-)
-from wavefield.quality.remarks import (
-    HALF,
-    remark_on_cameras_left_out,
-    remark_on_coverage,
-    remark_on_eps_piv,
-    remark_on_holes,
-    remark_on_probes,
-    remark_on_rest,
-    remark_on_steps,
-    remark_on_unresolved_waves,
-)
+from wavefield.quality import camera_motion, cameras, record, remarks
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_size
 from wavefield.sampling import evenly_spaced
@@ -61,48 +38,28 @@ from wavefield.store.write_cube import clear_steps
 from wavefield.variables import FrameStatus, Quality
 
 MAX_SAMPLED = 12  # steps of a cube that are assessed after its run
-MIN_STEPS = 5  # shorter records have too few neighbouring steps to compare
-
-_NOT_COMPARED = Remark(
-    "cameras",
-    "light sheet",
-    "remark",
-    "patches of their images do not match, which is usual if the sheet spans several pixels of parallax",
-    "A wrong rig or frames of other moments would not be noticed",
-    "Run `wavefield rig sheet`, which correlates all frames together",
-)
 
 
-def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> CameraFaults:
+def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> cameras.CameraFaults:
     """Compare the images of the cameras at a few frames of the record, and return what is wrong.
-    Patches of the images may not match even with a correct rig: if waves are higher or steeper than the
-    search allows, or in a light sheet that spans several pixels of parallax. Remarks on inconsistent cameras
-    are therefore dropped if all cameras together measured most nodes of the sampled steps; ``quality`` (n,
-    ny, nx) is that of these steps."""
-    series, count = prepared.series, prepared.steps + 1
-    matcher = PatchMatcher(lambda name, k: series[name].read_uncovered(k), prepared.rig, prepared.grid)
+    ``quality`` (n, ny, nx) is that of some measured steps."""
+    count = prepared.steps + 1
+    matcher = cameras.PatchMatcher(prepared.read_uncovered, prepared.rig, prepared.grid)
     frames = evenly_spaced(count, SAMPLE_STEPS)
     with one_opencv_thread():  # in each of our threads
-        found = find_camera_faults(matcher, count, frames, threads_here(prepared.workflow))
-    thickness = prepared.geometry.settings.sheet_thickness
-    remarks = list(found.remarks)
-    if thickness is None and fraction_measured(quality, by_all=True) > HALF:
-        remarks = [one for one in remarks if one.kind not in INCONSISTENT]
-    if thickness is not None:
-        remarks = [_NOT_COMPARED if one.kind == "disagree" else one for one in remarks]
-    return replace(found, remarks=tuple(remarks))
+        found = cameras.find_camera_faults(matcher, count, frames, threads_here(prepared.workflow))
+    # patches may not match with a correct rig: in waves that are higher or steeper than the search allows, or
+    # in a light sheet that spans several pixels of parallax
+    measured = fraction_measured(quality, by_all=True) > 0.5
+    ignored = ("disagree",) if prepared.in_light_sheet else cameras.INCONSISTENT if measured else ()
+    return replace(found, remarks=tuple(one for one in found.remarks if one.kind not in ignored))
 
 
 def measure_synchrony(
     prepared: PreparedRun, cube: xr.Dataset, frames: Sequence[int], first: int = 0
-) -> Synchrony:
-    """Measure the delays between the cameras at some frames of the record.
-    ``first`` is the step of the record at which ``cube`` begins. No delays are returned if nothing was
-    learned from the record."""
-    rate = prepared.experiment.frame_rate
-
-    def images(k: int) -> Mapping[str, NDArray[np.generic] | None]:
-        return {name: prepared.series[name].read_uncovered(k) for name in prepared.geometry.surface_cameras}
+) -> camera_motion.Synchrony:
+    """Measure the delays between the cameras at some frames; ``cube`` begins at the step ``first``."""
+    rate, read = prepared.frame_rate, prepared.read_uncovered
 
     def displacement(k: int) -> NDArray[np.floating]:
         around = cube[["u", "v", "w", "quality"]].isel(time=slice(k - 1 - first, k + 1 - first)).load()
@@ -111,53 +68,52 @@ def measure_synchrony(
         return np.asarray(moved.to_dataarray().values)
 
     if prepared.record is None:
-        return Synchrony({})
+        return camera_motion.Synchrony({})
     with one_opencv_thread():  # in each of our threads
         threads = threads_here(prepared.workflow)
-        return delays(prepared.geometry, prepared.record, frames, images, displacement, rate, threads)
+        return camera_motion.delays(
+            prepared.geometry, prepared.record, frames, read, displacement, rate, threads
+        )
 
 
-def check_record(prepared: PreparedRun, status: Status) -> RiseRatios | None:
-    """Find lost, doubled or late frames by comparing the rise of the surface with its velocity.
-    In a complete cube, steps that use frames from both sides of such a frame are set to NaN in the store; a
-    second call changes nothing. Returns the ratios of the other steps
-    (`wavefield.quality.record.rise_ratios`); None for light sheets and for less than five measured steps."""
-    sheet = prepared.geometry.settings.sheet_thickness is not None
-    if sheet or status.done + status.faulty < MIN_STEPS:
-        return None
+def clear_discontinuous_steps(prepared: PreparedRun, status: Status) -> None:
+    """Set steps of a complete cube to NaN that use frames from both sides of a lost, doubled or late frame.
+    A second call changes nothing."""
+    if not status.complete or prepared.in_light_sheet:
+        return
     cube = open_cube(status.store)
-    ratios = rise_ratios(cube)
-    found = steps_to_leave_out(ratios.discontinuous(), cube.sizes["time"])
-    before = np.flatnonzero(cube.frame_status.values == FrameStatus.DISCONTINUOUS)
-    cleared = np.union1d(found, before)
-    if status.complete and cleared.size:
+    jumps = record.discontinuous_steps(*record.rise_ratios(cube))
+    found = record.steps_to_leave_out(jumps, cube.sizes["time"])
+    cleared = np.union1d(found, np.flatnonzero(cube.frame_status.values == FrameStatus.DISCONTINUOUS))
+    if cleared.size:
         clear_steps(status.store, cleared.tolist())
-    return ratios.without(cleared)
 
 
-def assess_run(prepared: PreparedRun, status: Status, ratios: RiseRatios | None) -> Verdict:
-    """Return the verdict on a cube after its run: all remarks on the measurement.
-    ``ratios`` is the result of `check_record`."""
+def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
+    """Return the verdict on a cube after its run: all remarks on the measurement."""
     experiment, series = prepared.experiment, prepared.series
     cube = open_cube(status.store)
-    sample = cube[[*COMPARED, "eps_piv", "quality"]]
+    sample = cube[[*record.COMPARED, "eps_piv", "quality"]]
     sample = sample.isel(time=evenly_spaced(status.steps, MAX_SAMPLED)).load()
     faults = compare_cameras(prepared, sample.quality.values)
-    grave = any(one.weight == "grave" for one in faults.remarks)
-    remarks = [
-        *faults.remarks,
-        *([] if grave else _clocks_and_mounts(prepared, cube)),
-        remark_on_rest(experiment, prepared.rig, float(cube.get("z_level_std", np.nan))),
-        *remark_on_recordings(experiment, series),
-        *remark_on_probes(experiment, cube, record_span(experiment, series)),
-        *remark_on_steps(status),
-        *remark_on_coverage(expected_coverage(prepared.rig, prepared.grid)),
-        *remark_on_cameras_left_out(sample.quality.values, sample.attrs["cameras"]),
+    kept = [*faults.remarks]
+    if not any(one.weight == "grave" for one in kept):
+        frames = [1 + k for k in _sampled(prepared.steps - 1)]
+        kept += camera_motion.remarks_on_clocks(measure_synchrony(prepared, cube, frames))
+        kept += camera_motion.remarks_on_mounts(cube)
+    kept += [
+        remarks.remark_on_rest(experiment, prepared.rig, float(cube.get("z_level_std", np.nan))),
+        *record.remark_on_recordings(experiment, series),
+        *remarks.remark_on_probes(experiment, cube, record_span(experiment, series)),
+        *remarks.remark_on_steps(status),
+        *remarks.remark_on_coverage(expected_coverage(prepared.rig, prepared.grid)),
+        *remarks.remark_on_cameras_left_out(sample.quality.values, sample.attrs["cameras"]),
         *remarks_on_fields({str(name): one.values for name, one in sample.items()}),
-        *(_kinematics(cube, sample, ratios) if ratios else ()),
+        *(() if prepared.in_light_sheet else record.remark_on_kinematics(sample)),
+        *record.remark_on_cleared_steps(cube),
         *_short_waves(sample, prepared),
     ]
-    return Verdict(remarks, faults.pairs, faults.frames)
+    return Verdict(kept, faults.pairs, faults.frames)
 
 
 def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tuple[float, float]:
@@ -166,24 +122,17 @@ def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tu
     return float(times[0]), float(times[-1])
 
 
-def _clocks_and_mounts(prepared: PreparedRun, cube: xr.Dataset) -> Iterator[Remark]:
-    """Yield remarks on delays between cameras and on cameras that moved during the record."""
-    frames = [1 + k for k in _sampled(prepared.steps - 1)]
-    yield from remarks_on_clocks(measure_synchrony(prepared, cube, frames))
-    yield from remarks_on_mounts(cube)
-
-
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
     """Yield remarks on waves that are too fast for the frame rate or too short for the images."""
     record, measured = prepared.record, sample.quality.values & int(Quality.MEASURED) != 0
     if record is None or not measured.any():
         return
-    rate, (_, wavelength) = prepared.experiment.frame_rate, record.ripples
+    rate, (_, wavelength) = prepared.frame_rate, record.ripples
     aliased = (
         f"They are aliased at {rate:.3g} Hz: their velocities are not resolved, and the standard "
         "uncertainties may be too small. Longer waves are not affected"
     )
-    yield from remark_on_unresolved_waves(
+    yield from remarks.remark_on_unresolved_waves(
         *fast_waves(record.elevation, prepared.geometry.pixel, rate),
         aliased,
         "At least double the frame rate",
@@ -197,36 +146,26 @@ def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
         f"{1e3 * np.sqrt(unresolved):.3g} mm/s for them. Longer waves are not affected"
     )
     remedy = "Record smaller pixels on the water to measure them"
-    yield from remark_on_unresolved_waves(fraction, wavelength, missing, remedy)
+    yield from remarks.remark_on_unresolved_waves(fraction, wavelength, missing, remedy)
 
 
 def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
-    """Yield remarks on PIV errors and on holes in the fields of some steps.
-    ``fields`` holds z, eps_piv and quality, each (n, ny, nx)."""
+    """Yield remarks on errors and holes in ``fields``: z, eps_piv and quality, each (n, ny, nx)."""
     if not np.isfinite(fields["z"]).any():
         return  # failed steps have a remark of their own
-    yield from remark_on_eps_piv(fields["z"], fields["eps_piv"])
-    yield from remark_on_holes(fraction_measured(fields["quality"]))
-
-
-def _kinematics(cube: xr.Dataset, sample: xr.Dataset, ratios: RiseRatios) -> Iterator[Remark]:
-    """Yield remarks on elevations and velocities that contradict each other."""
-    yield from remark_on_kinematics(sample)
-    yield from remark_on_cleared_steps(cube)
-    yield from remark_on_jitter(ratios, sample)
+    yield from remarks.remark_on_eps_piv(fields["z"], fields["eps_piv"])
+    yield from remarks.remark_on_holes(fraction_measured(fields["quality"]))
 
 
 def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
-    """Return the fraction of the nodes in view that were measured, not filled; 0 if none is in view.
-    With ``by_all``, only nodes that were measured with all cameras count."""
+    """Return the fraction of the nodes in view that were measured, if required by all cameras; or 0."""
     visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
     marks = np.uint16(Quality.MEASURED | (Quality.FEWER_CAMERAS if by_all else 0))
     return float(((quality[visible] & marks) == Quality.MEASURED).mean()) if visible.any() else 0.0
 
 
 def _sampled(steps: int) -> list[int]:
-    """Return the steps that are matched again after a run: a tenth of all, but at least 4 and at most 12.
-    ``steps`` is the number of steps in the record."""
+    """Return the steps that are matched again after a run: a tenth of all, but at least 4 and at most 12."""
     return evenly_spaced(steps, min(MAX_SAMPLED, max(SAMPLE_STEPS, steps // 10)))
 
 
@@ -235,19 +174,10 @@ _BIN_EDGES = np.linspace(-5, 5, 101)  # errors in units of their rms
 
 def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
     """Measure some steps with each pair of cameras alone, and return errors; None if no step is measured.
-
     Returns ``rms`` and ``beyond`` (fraction of outliers), both (error,), and ``density`` (error, bin), the
-    probability density of errors in units of their rms. Each error has the coordinates ``quantity``,
-    ``cameras`` and ``units``. The quantities are:
-
-    - ``eps_y``, ``sigma_z`` and ``eps_piv``: epipolar error, standard uncertainty of z, and misfit of the
-      displacements in the images, of one pair;
-    - ``z``, ``dx``, ``dy`` and ``dz``: elevation and displacement by one pair minus those by another;
-    - ``z_recombined``: z of a pair computed from two other pairs minus z measured directly.
-    """
+    probability density of errors in units of their rms."""
     geometry, model = prepared.geometry, prepared.model
-    sheet = geometry.settings.sheet_thickness is not None  # cameras are not matched with each other
-    if sheet or model is None:
+    if prepared.in_light_sheet or model is None:  # cameras are not matched with each other
         return None
     pixel = pixel_size(prepared.rig, prepared.grid)
 
@@ -296,8 +226,8 @@ def _errors(found: Diagnosis) -> Iterator[tuple[str, str, str, NDArray[np.float6
         yield "z", f"{joined(one)} minus {joined(other)}", "m", found.z[one] - found.z[other]
     for pair, values in found.recombined.items():
         yield "z_recombined", joined(pair), "m", values
-    for cameras, values in found.eps_piv.items():
-        yield "eps_piv", joined(cameras), "pixel", values
+    for names, values in found.eps_piv.items():
+        yield "eps_piv", joined(names), "pixel", values
     for (one, other), moved in found.moved_difference.items():
         for name, values in zip(("dx", "dy", "dz"), np.moveaxis(moved, -3, 0)):
             yield name, f"{joined(one)} minus {joined(other)}", "m", values
@@ -312,8 +242,7 @@ def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
 
 
 def store_pair_statistics(prepared: PreparedRun, path: Path) -> None:
-    """Write the result of `pair_statistics` into the store of a complete cube.
-    Nothing is done if the store has those of its present state, or if no step can be measured."""
+    """Write the result of `pair_statistics` into the store of a complete cube, unless it is there."""
     group = open_group(path)
     state = state_of(group)
     stored = read_pair_statistics(path)
@@ -371,7 +300,7 @@ def uncertainty_terms(
     step = prepared.steps // 2 if step is None else step
     if not 0 <= step < prepared.steps:
         raise WavefieldError(f"step {step}: the record has steps 0 to {prepared.steps - 1}")
-    rate, geometry = prepared.experiment.frame_rate, prepared.geometry
+    rate, geometry = prepared.frame_rate, prepared.geometry
     prepared = prepared.with_prior(learn_record(prepared.series, prepared.steps, geometry, rate))
     if prepared.model is None:
         raise WavefieldError(f"{prepared.experiment.path}: none of the sample frames can be measured")

@@ -10,21 +10,18 @@ run::
     tank/coriolis-07/1a2b3c4d/waves.zarr
     tank/coriolis-07/latest                 link to the recipe that was run last
 
-A changed recipe therefore does not replace an earlier cube. Commands read and write in these folders. The
-entries of `intake.open_catalog` open the same files, with the parameters ``run`` and ``recipe``.
+A changed recipe therefore does not replace an earlier cube. The entries of `intake.open_catalog` open these
+files, with the parameters ``run`` and ``recipe``.
 """
 
 import errno
-import json
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
 from filelock import FileLock
 from ruamel.yaml import YAML
 from ruamel.yaml.scalarstring import SingleQuotedScalarString
@@ -40,6 +37,7 @@ if TYPE_CHECKING:  # slow to import, and most commands only list the runs of a c
     from wavefield.series import Experiment
     from wavefield.store.ledger import Status
 
+NEW_CATALOG = Path(__file__).with_name("new_catalog.yaml")  # without runs
 _PARAMETERS = ("run", "recipe", "location")
 
 
@@ -48,17 +46,10 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
     Parameters
     ----------
-    catalog : path
-        Intake catalog, YAML.
-    experiment : path
-        Experiment file.
+    catalog, experiment : path
+        Intake catalog, YAML, and experiment file.
     name : str, optional
-        Name of the run; by default that of the experiment.
-
-    Returns
-    -------
-    str
-        Name of the run.
+        Name of the run, which is returned; by default that of the experiment.
 
     Raises
     ------
@@ -70,10 +61,9 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
     catalog = Path(catalog).absolute()
     found = Experiment.load(experiment)
     run = name or found.name
-    _refuse_names(catalog, [run])
+    place = _folder(catalog, {"run": run}) / "experiment.yaml"
     with _editing(catalog) as data:
-        options = _options(catalog, data, "run")
-        place = catalog.with_suffix("") / run / "experiment.yaml"
+        _allow(catalog, data, "run", run)
         if place.exists() and Experiment.load(place).path.resolve() != found.path.resolve():
             raise ExperimentError(
                 f"{catalog} already has another run {run!r}; give this one a different name"
@@ -83,17 +73,15 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
                 place.parent.mkdir(parents=True, exist_ok=True)
                 place.unlink(missing_ok=True)  # a link to a file that is gone
                 place.symlink_to(os.path.relpath(found.path, place.parent.resolve()))
-        if run not in options:
-            options.append(_quoted(run))
-            data["user_parameters"]["run"]["default"] = options[0]
+        parameter = data["user_parameters"]["run"]
+        parameter["default"] = parameter["options"][0]
         _add_cube(catalog, data, place.parent, found.resolve("cube.zarr"))
     return run
 
 
 def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> None:
-    """Link the folder of an existing cube under the hash of its recipe, and let ``latest`` point to it.
-    ``place`` is the folder of the run, and ``data`` the content of the catalog, to which the hash is added.
-    Nothing is done if ``cube`` is not a cube."""
+    """Link the folder of an existing cube into the folder ``place`` of a run, by the hash of its recipe.
+    The hash is added to ``data``, the content of the catalog."""
     from wavefield.store.read import is_cube, open_group
 
     if not is_cube(cube):
@@ -103,44 +91,24 @@ def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> N
     if not os.path.lexists(folder):
         folder.symlink_to(os.path.relpath(cube.parent, place), target_is_directory=True)
         _link_latest(folder)
-    options = _options(catalog, data, "recipe")
-    if short not in options:
-        options.append(_quoted(short))
+    _allow(catalog, data, "recipe", short)
 
 
-def _options(catalog: Path, data: Mapping[str, Any], parameter: str) -> list[str]:
-    """Return the list of allowed values of a parameter of a catalog.
-    It is part of ``data``, the content of the catalog: appending to it changes the catalog. Raises
-    ExperimentError if there is none."""
+def _allow(catalog: Path, data: Mapping[str, Any], parameter: str, value: str) -> None:
+    """Add a value to those that a parameter may have, in the content ``data`` of a catalog."""
     try:
         options: list[str] = data["user_parameters"][parameter]["options"]
-        return options
     except (KeyError, TypeError):
         raise ExperimentError(
             f"{catalog} has no parameter `{parameter}` with options; let `wavefield catalog add` make a new "
             "catalog"
         ) from None
-
-
-def _template(stem: str) -> str:
-    """Return the text of a catalog without runs, for a catalog file of the name ``stem``."""
-    text = Path(__file__).with_name("new_catalog.yaml").read_text(encoding="utf-8")
-    return text.partition("\n")[2].replace("STEM", json.dumps(stem)[1:-1])  # without its first comment
+    if value not in options:
+        options.append(SingleQuotedScalarString(value))  # YAML would read the hash 795126e3 as a number
 
 
 def is_catalog(path: str | Path) -> bool:
-    """Whether a file is an intake catalog rather than an experiment.
-
-    Parameters
-    ----------
-    path : path
-        YAML file.
-
-    Returns
-    -------
-    bool
-        True if it has ``entries``.
-    """
+    """Whether a YAML file is an intake catalog, with ``entries``, rather than an experiment."""
     return "entries" in read_yaml(Path(path))
 
 
@@ -162,14 +130,8 @@ def run_catalog(
         Intake catalog.
     entries : sequence of str
         Names of runs; all by default.
-    out : path, optional
-        Where to write the store of a single run, outside the catalog's folder.
-    rig : path or Rig, optional
-        Used instead of the rigs that the experiments name.
-    workflow : path or Workflow, optional
-        Cluster and settings; by default the processes of this machine.
-    progress : callable, optional
-        Called with the number of steps done, the number of all steps, and a sentence that names the run.
+    out, rig, workflow, progress : optional
+        As for `wavefield.run`; ``out`` only for a single run.
     parameters : mapping, optional
         ``location``: folder of the images, if they are not next to the experiment file.
 
@@ -182,19 +144,9 @@ def run_catalog(
     ------
     ExperimentError
         If a run or a parameter is unknown.
-
-    Examples
-    --------
-    >>> import wavefield as wf
-    >>> from wavefield.pipeline.catalog import catalog_add
-    >>> catalog_add("tank.yaml", "experiment.yaml")  # doctest: +SKIP
-    'coriolis-07'
-    >>> found = wf.run_catalog("tank.yaml", ["coriolis-07"])  # doctest: +SKIP
-    >>> all(one.complete for one in found)  # doctest: +SKIP
-    True
     """
     from wavefield.execution.cluster import open_cluster
-    from wavefield.execution.lock import Lock
+    from wavefield.execution.lock import locked
     from wavefield.execution.run_log import jobs_folder
     from wavefield.pipeline.prepare import prepare
     from wavefield.pipeline.running import MEASURING, process
@@ -207,27 +159,23 @@ def run_catalog(
     for number, run in enumerate(runs, 1):
         chosen = {"run": run, **(parameters or {})}
         prepared = prepare(find_experiment(path, chosen), rig, workflow)
-        store = Path(out) if out is not None else _new_cube(path, run, prepared.recipe.hash[:8])
-        with (
-            Lock.hold(store.absolute()) as lock,
-            open_cluster(prepared.workflow, jobs_folder(store), MEASURING) as mapped,
-        ):
-            done.append(process(prepared, lock, mapped, _named(progress, f"{run} ({number} of {len(runs)})")))
+        store = Path(out).absolute() if out is not None else _new_cube(path, run, prepared.recipe.hash[:8])
+        told = _named(progress, f"{run} ({number} of {len(runs)})")
+        with locked(store), open_cluster(prepared.workflow, jobs_folder(store), MEASURING) as mapped:
+            done.append(process(prepared, store, mapped, told))
         if out is None:
             _link_latest(store.parent)
     return done
 
 
 def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
-    """Return the names of all runs of a catalog, or the given ``entries``.
-    Raises ExperimentError if an entry is not in the catalog, or if the catalog has no runs."""
+    """Return the names of all runs of a catalog, or the given ``entries`` if the catalog has them."""
     path = Path(catalog).absolute()
     options = read_yaml(path).get("user_parameters", {}).get("run", {}).get("options", [])
     unknown = [name for name in entries if name not in options]
     if unknown:
         raise ExperimentError(f"{path} has no run {unknown[0]!r}; it has {', '.join(options) or 'none'}")
     runs = list(entries) or list(options)
-    _refuse_names(path, runs)
     if not runs:
         raise ExperimentError(
             f"{path} has no runs; add one with `wavefield catalog add {path.name} EXPERIMENT`"
@@ -235,19 +183,8 @@ def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
     return runs
 
 
-def _refuse_names(catalog: Path, runs: Sequence[str]) -> None:
-    """Raise ExperimentError if the name of a run would lead out of the catalog's folder."""
-    try:
-        for run in runs:
-            safe_name(str(run))
-    except ValueError as error:
-        raise ExperimentError(f"{catalog}: run {error}") from None
-
-
 def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experiment":
-    """Read the experiment of a run of a catalog.
-    ``chosen["run"]`` is the name of the run; ``chosen["location"]``, if given, is the folder of its
-    images."""
+    """Read the experiment of the run ``chosen["run"]``, with images in ``chosen["location"]`` if given."""
     from wavefield.series import Experiment
 
     place = _folder(catalog, chosen)
@@ -255,18 +192,20 @@ def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experime
 
 
 def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
-    """Return the path of the cube of the run ``chosen["run"]``; the cube may not exist.
+    """Return the path of the cube of the run ``chosen["run"]``, which may not exist.
     ``chosen["recipe"]`` is the hash of a recipe; by default the recipe that was run last."""
     return _folder(catalog, chosen) / chosen.get("recipe", "latest") / "cube.zarr"
 
 
 def _folder(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
-    """Return the folder of the run ``chosen["run"]`` in a catalog.
-    Raises ExperimentError if ``chosen`` has a key other than `run`, `recipe` and `location`."""
+    """Return the folder of the run ``chosen["run"]`` in a catalog."""
     unknown = [name for name in chosen if name not in _PARAMETERS]
     if unknown:
         raise ExperimentError(f"{catalog} has no parameter {unknown[0]!r}; it has {', '.join(_PARAMETERS)}")
-    return Path(catalog).absolute().with_suffix("") / chosen["run"]
+    try:
+        return Path(catalog).absolute().with_suffix("") / safe_name(str(chosen["run"]))
+    except ValueError as error:
+        raise ExperimentError(f"{catalog}: run {error}") from None
 
 
 def _named(progress: "ProgressFunction | None", run: str) -> "ProgressFunction | None":
@@ -277,8 +216,7 @@ def _named(progress: "ProgressFunction | None", run: str) -> "ProgressFunction |
 
 
 def find_cube(catalog: str | Path, run: str | None = None) -> Path:
-    """Return the path of the latest cube of a run; without ``run``, of the only run that has one.
-    Raises ExperimentError if there is no cube, or if several runs have one and ``run`` is not given."""
+    """Return the path of the latest cube of a run; without ``run``, of the only run that has one."""
     path = Path(catalog).absolute()
     cubes = {name: cube_of(path, {"run": name}) for name in runs_of(path, () if run is None else [run])}
     existing = {name: cube for name, cube in cubes.items() if cube.exists()}
@@ -293,18 +231,14 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
 
 
 def _new_cube(catalog: Path, run: str, recipe: str) -> Path:
-    """Return the path for the cube of a run with a recipe, given as its hash.
-    Also adds the hash to the values that the parameter `recipe` of the catalog may have."""
+    """Add the hash ``recipe`` to the catalog, and return the path for the cube of a run with it."""
     with _editing(catalog) as data:
-        options = _options(catalog, data, "recipe")
-        if recipe not in options:
-            options.append(_quoted(recipe))
+        _allow(catalog, data, "recipe", recipe)
     return cube_of(catalog, {"run": run, "recipe": recipe})
 
 
 def _link_latest(folder: Path) -> None:
-    """Make the link ``latest``, next to the folder of a recipe, point to this folder.
-    Raises StoreError if the link cannot be made."""
+    """Make the link ``latest``, next to the folder of a recipe, point to this folder."""
     temporary = folder.with_name(f".latest.{os.getpid()}")
     try:
         temporary.unlink(missing_ok=True)
@@ -323,8 +257,7 @@ def _link_latest(folder: Path) -> None:
 
 @contextmanager
 def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
-    """Lock a catalog, yield its content for changes, and write it back with its comments.
-    A catalog that does not exist is created."""
+    """Context manager: yield the content of a catalog for changes, and write it back with its comments."""
     editor = YAML()
     editor.preserve_quotes, editor.width = True, 110
     folder = catalog.with_suffix("")
@@ -335,20 +268,9 @@ def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
         if catalog.exists():
             read_yaml(catalog)  # refuses what is not a catalog, with its line
             before = catalog.read_text(encoding="utf-8")
-        data = editor.load(before or _template(catalog.stem))
+        data = editor.load(before or NEW_CATALOG.read_text(encoding="utf-8").replace("STEM", catalog.stem))
         yield data
         text = StringIO()
         editor.dump(data, text)
         if text.getvalue() != before:
             write_text(catalog, text.getvalue(), replace=True)
-
-
-def _quoted(text: str) -> str:
-    """Return a text in quotes, unless it is a plain word that YAML reads as text.
-    The hash 795126e3, for example, would be read as a number."""
-    quoted: str = SingleQuotedScalarString(text)
-    try:
-        float(text)
-    except ValueError:
-        return text if re.fullmatch(r"[A-Za-z][\w.-]*", text) and yaml.safe_load(text) == text else quoted
-    return quoted

@@ -1,8 +1,4 @@
-"""`check`: find missing files and faults of an experiment, and estimate the cost of its run.
-
-A step is the interval between two consecutive frames. A remark is one finding about a measurement, and a
-verdict is the list of all remarks (`wavefield.store.verdict`).
-"""
+"""`check`: find missing files and faults of an experiment, and estimate the cost of its run."""
 
 import shutil
 import time
@@ -31,27 +27,14 @@ from wavefield.pipeline.assess import (
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from, samples
 from wavefield.pipeline.prepare import (
+    SAMPLE_STEPS,
     PreparedRun,
     expected_coverage,
     load_files,
     prepare,
     refuse_small_fields,
 )
-from wavefield.quality.camera_motion import Synchrony, remarks_on_clocks, spell_delays
-from wavefield.quality.record import (
-    FAULTS,
-    FrameInspection,
-    complete_steps,
-    inspect_frames,
-    remark_on_frames,
-    remark_on_recordings,
-    sample_frames,
-)
-from wavefield.quality.remarks import (
-    remark_on_coverage,
-    remark_on_probe_file,
-    remark_on_rest,
-)
+from wavefield.quality import camera_motion, record, remarks
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store.layout import COMPRESSION
@@ -59,8 +42,6 @@ from wavefield.store.ledger import BadFrames
 from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import short_path, spell_time
 from wavefield.variables import AROUND, FrameFault, FrameStatus
-
-TRIAL_STEPS = 4  # steps that `check` measures
 
 
 @dataclass(frozen=True)
@@ -93,15 +74,21 @@ class Trial:
 
 
 def measure_some(prepared: PreparedRun) -> Trial:
-    """Measure a few steps in the middle of the record, and estimate the cost of the whole run.
-    Raises ExperimentError if none of these steps can be measured."""
-    start = whole_step(prepared.series)
-    stop = min(start + TRIAL_STEPS, prepared.steps)
-    learned = learn_from(samples(prepared.series, [start]), prepared.geometry, prepared.experiment.frame_rate)
+    """Measure a few steps in the middle of the record, and estimate the cost of the whole run."""
+    complete = record.complete_steps(prepared.series)
+    steps = np.flatnonzero(complete)
+    if steps.size == 0:
+        raise ExperimentError(
+            "no two consecutive frames exist in all cameras: nothing can be measured; check `images`, "
+            "`frames` and `offset`"
+        )
+    start = int(steps[np.argmin(np.abs(steps - len(complete) // 2))])  # in the middle of the record
+    stop = min(start + SAMPLE_STEPS, prepared.steps)
+    learned = learn_from(samples(prepared.series, [start]), prepared.geometry, prepared.frame_rate)
     prepared = prepared.with_prior(learned)  # this also compiles, which is not part of the time per step
     chunk = make_chunk(prepared.series, start, stop, prepared.departures)
     since = time.perf_counter()
-    found = measure_chunk(chunk, prepared.geometry, prepared.experiment.frame_rate, prepared.model)
+    found = measure_chunk(chunk, prepared.geometry, prepared.frame_rate, prepared.model)
     seconds = (time.perf_counter() - since) / (chunk.steps + 2 * AROUND + 1)  # per frame, all cameras
     if (found.frame_status == FrameStatus.FAILED).all() and not found.fields["quality"].any():
         raise ExperimentError(
@@ -132,19 +119,6 @@ def spell_size(count: float) -> str:
     return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
 
 
-def whole_step(series: Mapping[str, FrameSeries]) -> int:
-    """Return the step nearest to the middle of the record whose two frames exist in every camera.
-    Raises ExperimentError if there is no such step."""
-    complete = complete_steps(series)
-    steps = np.flatnonzero(complete)
-    if steps.size == 0:
-        raise ExperimentError(
-            "no two consecutive frames exist in all cameras: nothing can be measured; check `images`, "
-            "`frames` and `offset`"
-        )
-    return int(steps[np.argmin(np.abs(steps - len(complete) // 2))])
-
-
 @dataclass(frozen=True)
 class CameraCheck:
     """What `check` found in the frames of one camera; in records of over 24 frames, it reads a sample."""
@@ -153,8 +127,7 @@ class CameraCheck:
     frames: int  # Number of frames that have a file
     size: tuple[int, int]  # (width, height), px
     dtype: str  # Data type of the images
-    # Missing or bad frames, numbered as in the run: number of the file plus the camera's `offset`
-    bad: tuple[BadFrames, ...]
+    bad: tuple[BadFrames, ...]  # Missing or bad frames: number of the file plus the camera's `offset`
     beyond: tuple[int, int] = (0, 0)  # Numbers of unused frames before and after the record
     first: int = 0  # Number of the first frame of the record
 
@@ -170,61 +143,29 @@ class CameraCheck:
 class Check:
     """Result of `check`.
 
-    Parameters
-    ----------
-    experiment : str
-        Name of the experiment.
-    path : path
-        Its file.
-    steps : int
-        Number of steps of the whole run.
-    frame_rate : float
-        Hz.
-    cameras : tuple of CameraCheck
-        Frames of every camera.
-    rig : tuple of str
-        Names of the rig's cameras; empty without a usable rig.
-    grid : Grid or None
-        Nodes of the cube; None without a usable rig.
-    coverage : float or None
-        Fraction of the nodes that all measuring cameras see when the water is at rest; None if unknown.
-    measured : float or None
-        Fraction of the nodes in view that were measured in the trial steps; None if unknown.
-    cost : Cost or None
-        Estimate for the run; None if it cannot start.
-    problems : tuple of str
-        Reasons why a run cannot start.
-    verdict : Verdict or None
-        Remarks on frames, cameras, rig, grid and probes. None if there are none and the images of the
-        cameras could not be compared.
-    motion, heights, clocks : str
-        Sentences on the displacement of the water between frames, the range of elevations, and the delays
-        between cameras; empty if unknown.
+    What is unknown, because the rig is not usable or a run cannot start, is None or empty.
     """
 
-    experiment: str
-    path: Path
-    steps: int
-    frame_rate: float
-    cameras: tuple[CameraCheck, ...]
-    rig: tuple[str, ...]
-    grid: Grid | None
-    coverage: float | None
-    measured: float | None
-    cost: Cost | None
-    problems: tuple[str, ...]
-    verdict: Verdict | None
-    motion: str = ""
-    heights: str = ""
-    clocks: str = ""
+    experiment: str  # Name of the experiment
+    path: Path  # Its file
+    steps: int  # Number of steps of the whole run
+    frame_rate: float  # Hz
+    cameras: tuple[CameraCheck, ...]  # Frames of every camera
+    rig: tuple[str, ...]  # Names of the rig's cameras
+    grid: Grid | None  # Nodes of the cube
+    coverage: float | None  # Fraction of the nodes that all measuring cameras see if the water is at rest
+    measured: float | None  # Fraction of the nodes in view that were measured in the trial steps
+    cost: Cost | None  # Estimate for the run
+    problems: tuple[str, ...]  # Reasons why a run cannot start
+    verdict: Verdict | None  # Remarks on frames, cameras, rig, grid and probes
+    motion: str = ""  # Sentence on the displacement of the water between frames
+    heights: str = ""  # Sentence on the range of elevations
+    clocks: str = ""  # Sentence on the delays between cameras
 
     @property
     def exit_status(self) -> int:
-        """Exit status of the command `wavefield check`.
-        It is 1 if a run cannot start, 3 if there are remarks that are not mere notes, and else 0."""
-        if self.problems:
-            return 1
-        return self.verdict.exit_status if self.verdict else 0
+        """Exit status of `wavefield check`: 1 if a run cannot start, 3 with remarks beyond notes, else 0."""
+        return 1 if self.problems else self.verdict.exit_status if self.verdict else 0
 
     def to_dict(self) -> dict[str, object]:
         """The result as plain data, which `wavefield check --json` prints."""
@@ -313,19 +254,12 @@ def check(
     ------
     ExperimentError
         If the experiment file is wrong, or if a camera has no images.
-
-    Examples
-    --------
-    >>> import wavefield as wf
-    >>> found = wf.check("experiment.yaml")  # doctest: +SKIP
-    >>> found.ready, found.problems  # doctest: +SKIP
-    (True, ())
     """
     experiment, _ = load_files(experiment, None)  # errors of the workflow are reported as a problem below
     series = experiment.open_frames()
     measuring = {name: series[name] for name in experiment.measuring_cameras}
-    sample = sample_frames(measuring)
-    inspections = {name: inspect_frames(one, sample) for name, one in series.items()}
+    sample = record.sample_frames(measuring)
+    inspections = {name: record.inspect_frames(one, sample) for name, one in series.items()}
     cameras = tuple(_summary(one, inspections[name]) for name, one in series.items())
     prepared, trial, faults, problem = None, None, None, ""
     try:
@@ -339,25 +273,29 @@ def check(
     except (RigError, ExperimentError) as error:
         problem = str(error)
     coverage = expected_coverage(prepared.rig, prepared.grid) if prepared else None
-    remarks = [
-        *remark_on_frames(measuring, {name: inspections[name] for name in measuring}),
-        *remark_on_recordings(experiment, series),
-        *remark_on_probe_file(experiment, record_span(experiment, series)),
+    every = [
+        *record.remark_on_frames(measuring, {name: inspections[name] for name in measuring}),
+        *record.remark_on_recordings(experiment, series),
+        *remarks.remark_on_probe_file(experiment, record_span(experiment, series)),
     ]
-    if trial and trial.cost.free < trial.cost.disk:
-        remarks.append(_remark_on_disk(trial.cost))
+    if trial and (cost := trial.cost).free < cost.disk:
+        sentence = f"the run will write {spell_size(cost.disk)}, but only {spell_size(cost.free)} are free"
+        means, remedy = "The run may stop before its end", "Free some space or write elsewhere with -o"
+        values = {"bytes": cost.disk, "free": cost.free}
+        every.append(Remark("disk", "disk space", "remark", sentence, means, remedy, values))
     if prepared and coverage is not None:
-        remarks += [remark_on_rest(prepared.experiment, prepared.rig), *remark_on_coverage(coverage)]
+        every += [
+            remarks.remark_on_rest(prepared.experiment, prepared.rig),
+            *remarks.remark_on_coverage(coverage),
+        ]
     delays = ""
     if trial and faults:
-        remarks += faults.remarks
+        every += faults.remarks
         if not any(one.weight == "grave" for one in faults.remarks):
             found = _synchrony(trial)
-            delays = spell_delays(found.delays)
-            remarks += [*remarks_on_clocks(found), *remarks_on_fields(trial.fields)]
-    verdict = Verdict(remarks) if remarks else None
-    if faults:
-        verdict = Verdict(remarks, faults.pairs, faults.frames)
+            delays = camera_motion.spell_delays(found.delays)
+            every += [*camera_motion.remarks_on_clocks(found), *remarks_on_fields(trial.fields)]
+    verdict = Verdict(every, *(faults.pairs, faults.frames) if faults else ())
     return Check(
         experiment=experiment.name,
         path=experiment.path,
@@ -370,38 +308,25 @@ def check(
         measured=fraction_measured(trial.fields["quality"]) if trial else None,
         cost=trial.cost if trial else None,
         problems=(problem,) if problem else (),
-        verdict=verdict,
+        verdict=verdict if every or faults else None,
         motion=prepared.motion.sentence if prepared and prepared.motion else "",
         heights=prepared.heights.sentence if prepared and prepared.heights else "",
         clocks=delays,
     )
 
 
-def _synchrony(trial: Trial) -> Synchrony:
+def _synchrony(trial: Trial) -> camera_motion.Synchrony:
     """Return the delays between cameras, measured at the frames between the trial steps."""
     fields = {name: (("time", "y", "x"), trial.fields[name]) for name in ("u", "v", "w", "quality")}
     cube, first = xr.Dataset(fields), trial.start
     return measure_synchrony(trial.prepared, cube, range(first + 1, first + cube.sizes["time"]), first)
 
 
-def _remark_on_disk(cost: Cost) -> Remark:
-    """Return the remark that a disk has less free space than the run needs."""
-    return Remark(
-        "disk",
-        "disk space",
-        "remark",
-        f"the run will write {spell_size(cost.disk)}, but only {spell_size(cost.free)} are free",
-        "The run may stop before its end",
-        "Free some space or write elsewhere with -o",
-        {"bytes": cost.disk, "free": cost.free},
-    )
-
-
-def _summary(series: FrameSeries, found: FrameInspection) -> CameraCheck:
+def _summary(series: FrameSeries, found: record.FrameInspection) -> CameraCheck:
     """Return the summary of one camera's frames: their number, size, type and faults."""
     rows, columns = series.shape
     faults = {FrameFault.MISSING: tuple(int(n) for n in series.missing)}
-    for fault in FAULTS:
+    for fault in record.FAULTS:
         faults[fault] = tuple(series.first + k for k, (kind, _) in found.faults.items() if kind == fault)
     return CameraCheck(
         series.camera,

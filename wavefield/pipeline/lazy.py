@@ -1,10 +1,5 @@
-"""The lazy cube: `reconstruct` maps the measurement over chunks of steps, one Dask task per chunk.
+"""The lazy cube: `reconstruct` maps the measurement over chunks of steps, one Dask task per chunk."""
 
-A step is the interval between two consecutive frames. The record (`LearnedRecord`) holds bead widths, wave
-spectra and noise, which are learned from sample steps and weight the estimator at every step.
-"""
-
-import threading
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -65,7 +60,7 @@ class ArraySource:
         return np.asarray(mask.values, bool)
 
     def window(self, start: int, stop: int) -> "ArraySource":
-        """Return the frames from start to stop (excluded), as a source."""
+        """Return the frames from start to stop (excluded)."""
         part = slice(max(start, 0), stop)
         mask = self.mask[part] if self.mask is not None and self.mask.ndim == 3 else self.mask
         return replace(self, variable=self.variable[part], mask=mask)
@@ -83,18 +78,17 @@ def reconstruct(
     """Turn image series into a lazy cube of elevation and velocity.
 
     Images are read when values are requested. The first request also learns bead widths, wave spectra and
-    noise from four sample steps of the whole series, and keeps them with the cube. A request for one step
-    computes its whole chunk: to look at single steps, choose a small ``steps_per_block``. To process an
-    experiment into a store that survives interruptions, use `wavefield.pipeline.run`.
+    noise from sample steps of the whole series. A request for one step computes its whole chunk: to look at
+    single steps, choose a small ``steps_per_block``.
 
     Parameters
     ----------
     frames : DataTree or mapping of str to DataArray
-        Images (time, row, column) per camera: a tree with one node per camera and ``image`` in it, as
-        ``xr.open_datatree("experiment.yaml", engine="wavefield")`` returns, or arrays by name of camera. A
-        variable ``mask`` next to an image, (row, column) or (time, row, column), is true for pixels to leave
-        out. All cameras have the same times in seconds, evenly spaced. If cameras have time stamps, the
-        images have a coordinate ``departure`` (time): how much later each was taken, in frame intervals.
+        Images (time, row, column) per camera, at the same evenly spaced times in seconds: a tree such as
+        ``xr.open_datatree("experiment.yaml", engine="wavefield")`` returns, or arrays by name of camera. In a
+        tree, a variable ``mask`` next to an ``image``, (row, column) or (time, row, column), is true for
+        pixels to leave out. A coordinate ``departure`` (time) tells how late each image was taken, in frame
+        intervals.
     rig : Rig or path
         The cameras, or their file: ``rig.yaml``, or the rig file of another program (`load_rig`).
     grid : Grid or mapping, optional
@@ -105,8 +99,8 @@ def reconstruct(
     steps_per_block : int
         Number of steps of a chunk. It does not change the values.
     record : mapping, optional
-        What was learned for an earlier cube (bead widths, spectra, noise):
-        ``cube.wavefield.recipe["record"]``. A part of that cube's frames then gives the same values as there.
+        What was learned for an earlier cube, ``cube.wavefield.recipe["record"]``. A part of that cube's
+        frames then gives the same values as there.
 
     Returns
     -------
@@ -119,8 +113,7 @@ def reconstruct(
     ExperimentError
         If cameras are missing, or if times are not evenly spaced.
     RigError
-        If the rig file cannot be read, if images have another size than the rig's cameras, or if no grid is
-        given and the cameras have no common field of view.
+        If the rig file cannot be read, does not fit the images, or leaves no common field of view.
 
     Examples
     --------
@@ -150,11 +143,7 @@ def reconstruct(
     if not isinstance(rig, Rig):
         sizes = {name: (array.shape[-1], array.shape[-2]) for name, array in arrays.items()}
         rig = load_rig(rig, sizes, list(arrays))
-    if grid is None:
-        half_sheet = settings.sheet_thickness and 0.5 * settings.sheet_thickness
-        grid = common_field(rig.cameras.values(), height=settings.z_range or half_sheet)
-    elif isinstance(grid, Mapping):
-        grid = _grid_of(grid)
+    grid = _grid_of(grid, rig, settings)
     geometry = GridGeometry(rig, grid, settings)
     absent = [name for name in geometry.cameras if name not in arrays]
     if absent:
@@ -163,8 +152,7 @@ def reconstruct(
             "not one camera"
         )
     arrays = {name: arrays[name] for name in geometry.cameras}
-    times, frame_rate = _times(arrays, attributes)
-    _check_sizes(arrays, rig)
+    times, frame_rate = _times(arrays, rig, attributes)
     if record is not None:
         _check_record(record, geometry)
 
@@ -190,10 +178,9 @@ def reconstruct(
     }
     once: Any = dask.delayed(_from_record, pure=False)(known)
     gain, axes = _gain(once, geometry)
-    path_frames = da.from_delayed(once["path_frames"], (), np.uint8)
     level = da.from_delayed(once["z_level_std"], (), np.float64)
-    mid = 0.5 * (times[:-1] + times[1:])
-    coords = {"time": mid, "y": grid.y_nodes, "x": grid.x_nodes, "path_frames": path_frames} | axes
+    coords = {"time": 0.5 * (times[:-1] + times[1:]), "y": grid.y_nodes, "x": grid.x_nodes} | axes
+    coords["path_frames"] = da.from_delayed(once["path_frames"], (), np.uint8)
     out = xr.Dataset(variables | gain | {"z_level_std": ((), level)}, coords=coords)
     used = replace(rig, cameras={name: rig[name] for name in geometry.cameras})
     out.attrs = {"frame_rate": frame_rate, "pixel_size": pixel_size(used, grid)} | {
@@ -205,8 +192,13 @@ def reconstruct(
     return annotate(out, "gain")
 
 
-def _grid_of(given: Mapping[str, Any]) -> Grid:
-    """Return a grid from a mapping of x, y and step; raises ExperimentError if these are wrong."""
+def _grid_of(given: Grid | Mapping[str, Any] | None, rig: Rig, settings: "Settings") -> Grid:
+    """Return the grid that is given, or else the largest rectangle that all cameras see."""
+    if given is None:
+        half_sheet = settings.sheet_thickness and 0.5 * settings.sheet_thickness
+        return common_field(rig.cameras.values(), height=settings.z_range or half_sheet)
+    if isinstance(given, Grid):
+        return given
     try:
         return Grid(**given)
     except (TypeError, IndexError) as error:
@@ -216,9 +208,7 @@ def _grid_of(given: Mapping[str, Any]) -> Grid:
 
 
 def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
-    """Measure a chunk of n steps, and return its variables for one Dask block.
-    The block is an object array (n,), whose first element is a dict of all variables. ``known`` is the result
-    of `_Learner`."""
+    """Measure a chunk of n steps; returns an object array (n,), whose first element holds all variables."""
     geometry, model = known
     measured = measure_chunk(chunk, geometry, frame_rate, model)
     out = np.empty(chunk.steps, object)
@@ -227,8 +217,7 @@ def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
 
 
 def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array:
-    """Return one variable of the cube as a lazy array.
-    ``measured`` holds the results of `_measure` for all chunks; ``shape`` is (ny, nx)."""
+    """Return one variable of the cube, lazy, from the results of `_measure`; ``shape`` is (ny, nx)."""
     row = TABLE[name]
     nodes = shape if len(row.dims) == 3 else ()
     out: da.Array = da.map_blocks(
@@ -245,8 +234,7 @@ def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array
 def _gain(
     once: Mapping[str, Delayed], geometry: "GridGeometry"
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the tables of the response of the measurement to waves, lazy, and the axes of the tables.
-    Each table is given as (dimensions, array). ``once`` holds the delayed variables without time."""
+    """Return the lazy tables (dimensions, array) of the response to waves, and the axes of the tables."""
     from wavefield.measurement.resolution import tabulated
 
     table = tabulated(geometry, None)
@@ -270,36 +258,27 @@ def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> Non
             )
 
 
+@dataclass
 class _Learner:
-    """Learns search ranges and the record at the first call, and returns the same result afterwards.
-    The result is the geometry and the model; the model is None if nothing could be learned. A ``record`` that
-    is given is not learned again."""
+    """Learns search ranges and the record from sample steps at the first call, and keeps them."""
 
-    def __init__(
-        self, geometry: "GridGeometry", frame_rate: float, record: Mapping[str, object] | None
-    ) -> None:
-        self.geometry, self.frame_rate, self.record = geometry, frame_rate, record
-        self._known: Known | None = None
-        self._lock = threading.Lock()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _Learner, (self.geometry, self.frame_rate, self.record)
+    geometry: "GridGeometry"
+    frame_rate: float
+    record: Mapping[str, object] | None  # Learned for an earlier cube; otherwise None
+    known: "Known | None" = None  # The geometry, and the model or None if nothing could be learned
 
     def __call__(self, pairs: Sequence[Mapping[str, Any]]) -> "Known":
-        with self._lock:
-            if self._known is None:
-                self._known = self._learn(pairs)
-            return self._known
-
-    def _learn(self, pairs: Sequence[Mapping[str, Any]]) -> "Known":
         from wavefield.measurement import LearnedRecord, Model
         from wavefield.measurement.search_range import search_widened
 
-        geometry, learned = self.geometry, self.record
-        if learned is None:  # otherwise the settings contain the search ranges, as those of the earlier cube
-            geometry = search_widened(map(both_frames, pairs), geometry)
-            learned = learn_from(pairs, geometry, self.frame_rate)
-        return geometry, Model(geometry, LearnedRecord.from_dict(learned)) if learned else None
+        if self.known is None:
+            geometry, learned = self.geometry, self.record
+            if learned is None:  # otherwise the settings contain the search ranges of the earlier cube
+                geometry = search_widened(map(both_frames, pairs), geometry)
+                learned = learn_from(pairs, geometry, self.frame_rate)
+            model = Model(geometry, LearnedRecord.from_dict(learned)) if learned else None
+            self.known = geometry, model
+        return self.known
 
 
 def _from_record(known: "Known") -> dict[str, np.ndarray]:
@@ -321,9 +300,10 @@ def _images(
     return {str(name): array for name, array in frames.items()}, {}
 
 
-def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) -> tuple[np.ndarray, float]:
-    """Return the times of the frames in s, and the frame rate in Hz.
-    Raises ExperimentError if cameras differ in their times, or if times are not evenly spaced."""
+def _times(
+    arrays: Mapping[str, xr.DataArray], rig: Rig, attributes: Mapping[str, Any]
+) -> tuple[np.ndarray, float]:
+    """Return the times of the frames, s, and the frame rate, Hz, after a check of the images."""
     name, first = next(iter(arrays.items()))
     for other, array in arrays.items():
         if array.dims[0] != "time" or array.ndim != 3:
@@ -332,6 +312,12 @@ def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) ->
             )
         if "time" not in array.coords or not np.array_equal(array["time"], first["time"]):
             raise ExperimentError(f"{other} and {name} need the same `time` coordinate, in seconds")
+        w, h = rig[other].size
+        if array.shape[1:] != (h, w):
+            raise RigError(
+                f"the rig was made for images of {other} of {w} x {h} px, but these have "
+                f"{array.shape[2]} x {array.shape[1]}"
+            )
     times = np.asarray(first["time"].values, float)
     if times.size < 2:
         raise ExperimentError(f"there are {times.size} frames; a step needs two")
@@ -343,14 +329,3 @@ def _times(arrays: Mapping[str, xr.DataArray], attributes: Mapping[str, Any]) ->
             "select them without a stride"
         )
     return times, frame_rate
-
-
-def _check_sizes(arrays: Mapping[str, xr.DataArray], rig: Rig) -> None:
-    """Raise RigError if images of a camera have another size than the rig states."""
-    for name, array in arrays.items():
-        w, h = rig[name].size
-        if array.shape[1:] != (h, w):
-            raise RigError(
-                f"the rig was made for images of {name} of {w} x {h} px, but these have "
-                f"{array.shape[2]} x {array.shape[1]}"
-            )

@@ -1,8 +1,4 @@
-"""Learn bead widths, wave spectra and noise from sample steps of a record, before its chunks are measured.
-
-A step is the interval between two consecutive frames. The learned record gives the weights of the estimator
-at every step; it is stored in the recipe of the cube (see `wavefield.store.recipe`).
-"""
+"""Learn bead widths, wave spectra and noise, the weights of the estimator, from sample steps of a record."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +10,6 @@ from wavefield.execution.process import one_opencv_thread
 from wavefield.pipeline.chunk import Source, read_frame
 from wavefield.quality.cameras import PatchMatcher, compare
 from wavefield.sampling import evenly_spaced
-from wavefield.series import Frame
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry, LearnedRecord
@@ -30,10 +25,8 @@ _MIN_MOTION_PX = 0.1  # px rms: less is noise
 def learn_record(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
-    """Choose sample steps of a record, and learn bead widths, wave spectra and noise from them.
-    Returns the learned record as plain data, with the sample steps under the key ``steps``; empty if three
-    sets of samples cannot be measured. The argument ``steps`` is the number of steps of the record,
-    ``frame_rate`` is in Hz."""
+    """Choose sample steps of a record of ``steps``, and learn bead widths, wave spectra and noise from them.
+    Returns the learned record as plain data; empty if three sets of samples cannot be measured."""
     from wavefield.measurement import sample_steps
 
     for number in range(_TRIES):
@@ -45,30 +38,23 @@ def learn_record(
 
 
 def samples(sources: Mapping[str, Source], steps: Sequence[int]) -> list[Mapping[str, Source]]:
-    """Return, for each step and camera, the frames that `learn_from` needs.
-    They are the two frames of the step, and the frame before them if there is one."""
+    """Return, for each step and camera, its two frames and the frame before them if there is one."""
     return [{n: s.window(max(k - 1, 0), k + 2) for n, s in sources.items()} for k in steps]
 
 
 def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the first and the second images of a sample step, each by name of camera.
-    An image is None if its frame is bad or repeats the frame before it."""
+    """Return the first and the second images of a sample step by camera; None for bad or repeated frames."""
     first = {name: read_frame(source, len(source) - 2) for name, source in sample.items()}
     second = {name: read_frame(source, len(source) - 1, first[name].image) for name, source in sample.items()}
-
-    def usable(frames: Mapping[str, Frame]) -> dict[str, Any]:
-        return {name: None if frame.fault else frame.image for name, frame in frames.items()}
-
-    return usable(first), usable(second)
+    one, two = ({n: None if f.fault else f.image for n, f in frames.items()} for frames in (first, second))
+    return one, two
 
 
 def steps_with_waves(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
 ) -> list[int]:
-    """Return the steps to learn from.
-    They are spread over the record or, if these have much weaker waves than others, over the steps with
-    strong waves. The strength of a step is the variance of displacements in the images of one camera, about
-    the mean current. ``steps`` is the number of steps of the record."""
+    """Return steps to learn from, spread over the record, or over its strong waves if others are much weaker.
+    The strength is the variance of displacements in the images of one camera, about the mean current."""
     from wavefield.measurement import sample_steps
 
     usual = sample_steps(steps)
@@ -81,7 +67,7 @@ def steps_with_waves(
         return usual
 
     def displacements(k: int) -> np.ndarray:
-        first, second = (matcher.sampled(name, frame) for frame in (k, k + 1))
+        first, second = (matcher.sampled(name, frame, name) for frame in (k, k + 1))
         if first is None or second is None:
             return np.zeros((0, 2))
         moved = compare(first[::2], second[::2])  # about thirty patches suffice
@@ -102,9 +88,8 @@ def steps_with_waves(
 def learn_from(
     pairs: Sequence[Mapping[str, Source]], geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
-    """Learn bead widths, wave spectra and noise from sample steps.
-    ``pairs`` is the result of `samples`, and ``frame_rate`` is in Hz. Returns the learned record as plain
-    data; empty if no step can be measured."""
+    """Learn bead widths, wave spectra and noise from the sample steps ``pairs`` of `samples`.
+    Returns the learned record as plain data; empty if no step can be measured."""
     from wavefield.measurement import learn
 
     def masks(pair: Mapping[str, Source], back: int) -> dict[str, Any]:
@@ -118,9 +103,7 @@ def learn_from(
 
 
 def once_per_cube(geometry: "GridGeometry", record: "LearnedRecord | None") -> dict[str, np.ndarray]:
-    """Return the variables of a cube without time, by name.
-    They are tables of the response to waves, and ``z_level_std``, the standard uncertainty of the level z =
-    0, m."""
+    """Return the response to waves and ``z_level_std``, the standard uncertainty of the level z = 0, m."""
     from wavefield.measurement.error_budget import level_std
     from wavefield.measurement.resolution import tabulated
 

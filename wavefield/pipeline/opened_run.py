@@ -1,8 +1,7 @@
 """Open a cube with its recipe, rig, experiment, images, probes, waves and truth.
 
-A recipe is everything that determines the values of a cube: settings, rig, grid, images, algorithm. The cube
-names its experiment file relative to the store, so that a folder can be copied. Checksums of a few images
-(fingerprints) show whether these are still the images of the cube.
+The cube names its experiment file relative to the store, so that a folder can be copied. Checksums of a few
+images (fingerprints) show whether these are still the images of the cube.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from wavefield.atomic_write import read_mark
-from wavefield.errors import ExperimentError, StoreError, WavefieldError
+from wavefield.errors import StoreError, WavefieldError
 from wavefield.grid import Grid
 from wavefield.rig import Camera, Rig
 from wavefield.sampling import from_first_to_last
@@ -49,8 +48,7 @@ def image_names(experiment: Experiment, camera: str) -> list[Any]:
 
 def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
     """Return the attributes of a cube that describe its experiment, with paths relative to the store.
-    They are the experiment file, description, image folder and water. The measured values do not depend on
-    them."""
+    The measured values do not depend on them."""
     home, own = store.absolute().parent.resolve(), experiment.path.parent.resolve()
     out: dict[str, Any] = {"experiment_file": _relative(own / experiment.path.name, home)}
     if experiment.description:
@@ -70,22 +68,16 @@ def _relative(path: Path, home: Path) -> str:
 
 
 def _named(store: Path, attributes: Mapping[str, object], name: str) -> Path:
-    """Return the path that the attribute ``name`` of a cube states.
-    It is relative to the folder of the store."""
+    """Return the path in the attribute ``name`` of a cube, which is relative to the folder of the store."""
     home = store.absolute().parent.resolve()
     return Path(os.path.normpath(home / str(attributes.get(name, ""))))
-
-
-def experiment_path(store: Path, attributes: Mapping[str, object]) -> Path:
-    """Return the path of the experiment file that the attributes of a cube state."""
-    return _named(store, attributes, "experiment_file")
 
 
 def load_experiment(store: Path, attributes: Mapping[str, object], given: Path | None = None) -> Experiment:
     """Read the experiment of a cube: the file ``given``, or else one whose images are those of the cube.
     This is the file next to the cube or, if that is missing or does not fit, the file that ``attributes``
     state."""
-    named, folder = experiment_path(store, attributes), _named(store, attributes, "image_folder")
+    named, folder = (_named(store, attributes, name) for name in ("experiment_file", "image_folder"))
     images = folder if attributes.get("image_folder") and folder.is_dir() else None
     if given is not None:
         return Experiment.load(given, images)
@@ -94,7 +86,7 @@ def load_experiment(store: Path, attributes: Mapping[str, object], given: Path |
         if path.is_file():
             try:
                 experiment = Experiment.load(path, images)
-                _check_fits(experiment, store, attributes)
+                _check_first_images(experiment, store, attributes)
                 return experiment
             except WavefieldError as error:
                 problem = error
@@ -103,16 +95,8 @@ def load_experiment(store: Path, attributes: Mapping[str, object], given: Path |
     return Experiment.load(named, images)
 
 
-def _check_fits(experiment: Experiment, store: Path, attributes: Mapping[str, object]) -> None:
-    """Raise an error if the images of an experiment are not those of a cube.
-    ExperimentError is raised if they have other names, and StoreError if the first frame differs. Images that
-    have been removed are not compared."""
-    recipe = json.loads(str(attributes.get("recipe", "{}")))
-    for camera, names in recipe.get("images", {}).items():
-        if camera not in experiment.cameras or image_names(experiment, camera)[0] != names[0]:
-            raise ExperimentError(
-                f"{experiment.path} is not the experiment of {store}, whose images of {camera} are {names[0]}"
-            )
+def _check_first_images(experiment: Experiment, store: Path, attributes: Mapping[str, object]) -> None:
+    """Raise StoreError if the first images of an experiment are there and are not those of a cube."""
     begun = json.loads(str(attributes.get("fingerprints", "{}")))
     first = {camera: {k: sums[k] for k in sorted(sums, key=int)[:1]} for camera, sums in begun.items()}
     try:
@@ -123,8 +107,7 @@ def _check_fits(experiment: Experiment, store: Path, attributes: Mapping[str, ob
 
 
 def fingerprints(series: Mapping[str, FrameSeries]) -> dict[str, dict[str, int]]:
-    """Return checksums of the first, middle and last image of each camera, by camera and index of frame.
-    Images that cannot be read are left out."""
+    """Return checksums of the first, middle and last image of each camera, by camera and index of frame."""
     out: dict[str, dict[str, int]] = {}
     for name, frames in series.items():
         read = {str(k): frames.read(k).image for k in from_first_to_last(len(frames), SAMPLE_FRAMES)}
@@ -139,17 +122,14 @@ def _sum(image: np.ndarray) -> int:
 def check_images(
     store: str, begun: Mapping[str, Mapping[str, int]], series: Mapping[str, FrameSeries]
 ) -> None:
-    """Raise StoreError if images differ from those with which the run of a cube began.
-    `begun` has the checksums of the first images, by camera and index of frame, as `fingerprints` returns
-    them. `store` names the cube in the message. Missing cameras and images that cannot be read are
-    skipped."""
+    """Raise StoreError if images differ from those with the checksums `begun` of `fingerprints`.
+    `store` names the cube in the message. Missing cameras and unreadable images are skipped."""
     for name, sums in begun.items():
-        for index, expected in sums.items():
-            frames = series.get(name)
-            image = frames.read(int(index)).image if frames is not None else None
-            if frames is not None and image is not None and _sum(image) != expected:
+        for index, expected in sums.items() if name in series else ():
+            image = series[name].read(int(index)).image
+            if image is not None and _sum(image) != expected:
                 raise StoreError(
-                    f"{store} was begun with other images: {frames.place(int(index))} has changed; "
+                    f"{store} was begun with other images: {series[name].place(int(index))} has changed; "
                     "write to another store with -o, or remove this one"
                 )
 
@@ -162,63 +142,30 @@ class Run:
     """A cube with its recipe, rig, experiment, images, probes, waves and truth, each read when first used.
 
     Anything that is absent is None or empty, and `reason` explains why.
-
-    Parameters
-    ----------
-    cube : Dataset, (time, y, x)
-        The cube, lazy.
-    store : path
-        Store of the cube.
-    waves_path : path
-        Store of its waves, which may not exist.
-    experiment_path : path, optional
-        Experiment file; by default the file of that name next to the cube, or else the original file, if its
-        images are those of the cube.
-    truth_path : path, optional
-        Exact fields of a simulated experiment; by default next to the experiment file.
     """
 
-    cube: xr.Dataset
-    store: Path = Path()
-    waves_path: Path = Path()
-    experiment_path: Path | None = None
-    truth_path: Path | None = None
+    cube: xr.Dataset  # (time, y, x): The cube, lazy
+    store: Path = Path()  # Store of the cube
+    waves_path: Path = Path()  # Store of its waves, which may not exist
+    experiment_path: Path | None = None  # Experiment file, if not the one next to the cube or the original
+    truth_path: Path | None = None  # Exact fields of a simulation, if not next to the experiment file
     _reasons: dict[str, str] = field(default_factory=dict, init=False, repr=False)
 
     def reason(self, name: str) -> str:
-        """Why a part of the run is absent.
-
-        Parameters
-        ----------
-        name : str
-            Name of an attribute, such as "experiment" or "waves".
-
-        Returns
-        -------
-        str
-            A sentence; empty if it is there.
-        """
+        """Return why a part of the run, such as "waves", is absent; empty if it is there."""
         getattr(self, name)
         return self._reasons.get(name, "")
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
         """The recipe of the cube as plain data: settings, rig, grid, images, algorithm; empty without one."""
-        found = recipe_of(self.cube.attrs)
-        if not found:
-            self._reasons["recipe"] = (
-                "the cube has no attribute `recipe`, so that it is unknown how it was made"
-            )
-        return found
+        return recipe_of(self.cube.attrs)
 
     @cached_property
     def rig(self) -> Rig | None:
         """The cameras that were used; None if the recipe has no rig."""
         cameras = self.recipe.get("rig")
-        if not cameras:
-            self._reasons["rig"] = "the cube's recipe has no rig"
-            return None
-        return Rig({name: Camera.from_dict(camera) for name, camera in cameras.items()})
+        return Rig({name: Camera.from_dict(one) for name, one in cameras.items()}) if cameras else None
 
     @cached_property
     def grid(self) -> Grid:
@@ -231,11 +178,9 @@ class Run:
     @cached_property
     def experiment(self) -> Experiment | None:
         """The experiment; None if its file is missing or cannot be read."""
-
-        def load() -> Experiment | None:
-            return load_experiment(self.store, self.cube.attrs, self.experiment_path)
-
-        return self._try("experiment", load, None)
+        return self._try(
+            "experiment", lambda: load_experiment(self.store, self.cube.attrs, self.experiment_path), None
+        )
 
     @cached_property
     def frames(self) -> dict[str, FrameSeries]:
@@ -244,25 +189,17 @@ class Run:
         if experiment is None:
             self._reasons["frames"] = f"the experiment file cannot be read: {self._reasons['experiment']}"
             return {}
-        frames: dict[str, FrameSeries] = self._try("frames", experiment.open_frames, {})
+        none: dict[str, FrameSeries] = {}
+        frames = self._try("frames", experiment.open_frames, none)
         if not frames or rig is None:
             return frames
         measuring = {name: one for name, one in frames.items() if name in rig.cameras}
-        folder = experiment.path.parent
-        masked: dict[str, FrameSeries] = self._try(
-            "masks", lambda: covered_series(experiment.mask, measuring, rig, folder), {}
-        )
-        return frames | masked
+        masks, folder = experiment.mask, experiment.path.parent
+        return frames | self._try("masks", lambda: covered_series(masks, measuring, rig, folder), none)
 
     @cached_property
     def probes(self) -> xr.Dataset | None:
-        """Elevations at the wave probes of the experiment; None without probes or without their file.
-
-        Raises
-        ------
-        ExperimentError
-            If the file cannot be read.
-        """
+        """Elevations at the wave probes of the experiment; None without probes or without their file."""
         experiment = self.experiment
         if experiment is None or experiment.probes is None:
             self._reasons["probes"] = self._reasons.get("experiment", "the experiment names no probes")
@@ -276,13 +213,7 @@ class Run:
 
     @cached_property
     def waves(self) -> xr.DataTree | None:
-        """The wave store, lazy; None if it does not exist, or if the cube has changed since it was written.
-
-        Raises
-        ------
-        StoreError
-            If it is damaged, or if it belongs to another cube.
-        """
+        """The wave store, lazy; None if it does not exist, or if the cube has changed since."""
         if not self.waves_path.is_dir():
             self._reasons["waves"] = f"no waves yet: run `wavefield analyze {self.store}`"
             return None
@@ -295,27 +226,14 @@ class Run:
                 f"{self.waves_path} has the waves of another cube than {self.store}: move it, and run "
                 f"`wavefield analyze {self.store}`"
             )
-        if waves.attrs.get("cube") != state_of(self.cube):
-            self._reasons["waves"] = (
-                f"the cube has changed since its waves were computed: run `wavefield analyze {self.store}` "
-                "again"
-            )
-            return None
-        return waves
+        if waves.attrs.get("cube") == state_of(self.cube):
+            return waves
+        again = f"run `wavefield analyze {self.store}` again"
+        self._reasons["waves"] = f"the cube has changed since its waves were computed: {again}"
+        return None
 
     def wave_group(self, name: str) -> xr.Dataset | None:
-        """One group of the wave store, loaded.
-
-        Parameters
-        ----------
-        name : str
-            Name of the group, such as "spectra".
-
-        Returns
-        -------
-        Dataset or None
-            The group; None if there is no wave store, or no such group in it.
-        """
+        """Return one group of the wave store, such as "spectra", loaded; None if there is none."""
         if self.waves is None or name not in self.waves.children:
             return None
         return self.waves[name].to_dataset().load()
@@ -323,7 +241,7 @@ class Run:
     @cached_property
     def truth(self) -> xr.Dataset | None:
         """Exact fields of a simulated experiment, lazy; None if there are none."""
-        file = self.experiment_path or experiment_path(self.store, self.cube.attrs)
+        file = self.experiment_path or _named(self.store, self.cube.attrs, "experiment_file")
         folder = (self.experiment.path if self.experiment else file).parent
         path = self.truth_path or folder / "truth" / "truth.zarr"
         if not path.is_dir():
@@ -348,8 +266,7 @@ class Run:
         return found
 
     def _try(self, name: str, load: Callable[[], T], absent: T) -> T:
-        """Return the result of ``load``, or ``absent`` if it raises an error.
-        The message of the error is kept as the reason why the part ``name`` is absent."""
+        """Return the result of ``load``, or ``absent`` if it raises an error, which becomes the reason."""
         try:
             return load()
         except (WavefieldError, OSError) as error:
@@ -370,13 +287,9 @@ def open_run(
     ----------
     store : path
         Cube written by `run`, or a folder that contains one.
-    waves : path, optional
-        Store of its waves; by default next to the cube, where `wavefield analyze` writes them.
-    experiment : path, optional
-        Experiment file; by default the file of that name next to the cube, or else the original file, if its
-        images are those of the cube.
-    truth : path, optional
-        Exact fields of a simulated experiment; by default ``truth/truth.zarr`` next to the experiment file.
+    waves, experiment, truth : path, optional
+        Store of its waves, experiment file, and exact fields of a simulation, if they are elsewhere than next
+        to the cube, where the experiment file was, and in ``truth/truth.zarr`` next to that file.
 
     Returns
     -------

@@ -1,9 +1,6 @@
 """Read and check frames, rig, grid, settings and search ranges before a run.
 
-Rigs, grids and elevations that cannot be in metres raise errors. A step is the interval between two
-consecutive frames; a chunk is a range of steps that one task measures. A recipe is everything that determines
-the values of a cube (`wavefield.store.recipe`); a workflow states how a run is computed
-(`wavefield.execution.workflow`).
+Rigs, grids and elevations that cannot be in metres raise errors.
 """
 
 import hashlib
@@ -28,7 +25,6 @@ from wavefield.measurement.search_range import (
 )
 from wavefield.measurement.step import ALGORITHM
 from wavefield.pipeline.opened_run import image_names
-from wavefield.quality.remarks import MIN_COVERAGE
 from wavefield.rig import Rig
 from wavefield.rig.field import common_field
 from wavefield.sampling import evenly_spaced
@@ -42,18 +38,17 @@ if TYPE_CHECKING:
 
 _CAMERA_DISTANCES = (0.02, 200.0)  # m from the water: from a macro lens to a platform at sea
 _MIN_BLOCKS = 21  # interrogation blocks along the longer side of the field, for a spectrum
+_MIN_COVERAGE = 0.05  # fraction of the grid in common view; with less, its unit is wrong
 _MAX_ELEVATION_FRACTION = 0.5  # elevations, as a fraction of the distance of the nearest camera
 _MAX_THICKNESS_FRACTION = 0.05  # beads and light sheets, as a fraction of that distance
 
 
 def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> None:
-    """Raise an error if the cameras of a rig cannot be placed as stated.
-    RigError is raised if their distances from the water cannot be in metres, or if z = 0 is not the water;
-    ExperimentError if a camera is below the water. ``rig_file`` is the name of the rig in messages."""
+    """Raise RigError if z = 0 of a rig is not the water or lengths are not in metres; ExperimentError if a
+    camera is below the water. ``rig_file`` is the name of the rig in messages."""
     refuse_own_frame(rig, rig_file)
     distance = float(np.median(_distances(rig)))
-    low, high = _CAMERA_DISTANCES
-    if not low <= distance <= high:
+    if not _CAMERA_DISTANCES[0] <= distance <= _CAMERA_DISTANCES[1]:
         raise RigError(
             f"{rig_file}: its cameras are {distance:.3g} m away from the water; lengths must be in metres "
             "(`wavefield rig convert FILE --unit UNIT` converts the rig file of another program)"
@@ -67,9 +62,7 @@ def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> 
 
 
 def refuse_own_frame(rig: Rig, rig_file: str) -> None:
-    """Raise RigError if z = 0 of a rig is not the water.
-    This is so if the rig has no camera positions, or is in the coordinate system of one of its cameras.
-    ``rig_file`` is the name of the rig in messages."""
+    """Raise RigError if a rig has no camera positions, or is in the coordinate system of a camera."""
     if rig.lenses_alone:
         raise RigError(
             f"{rig_file} contains lenses but no camera positions; for two cameras at sea, "
@@ -98,25 +91,19 @@ def expected_coverage(rig: Rig, grid: Grid) -> float:
 def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
     """Raise ExperimentError if all cameras together see less than 5 % of the grid."""
     fraction = expected_coverage(rig, grid)
-    if fraction >= MIN_COVERAGE:
+    if fraction >= _MIN_COVERAGE:
         return
-    try:
-        field = common_field(rig.cameras.values())
-        (x0, x1), (y0, y1) = field.x, field.y
-        remedy = f"the cameras see {{x: [{x0:g}, {x1:g}], y: [{y0:g}, {y1:g}]}}; or leave it out"
-    except RigError as error:
-        remedy = f"correct it or the rig: {error}"
+    field = common_field(rig.cameras.values())
+    (x0, x1), (y0, y1) = field.x, field.y
     raise ExperimentError(
         f"{experiment.path}: the cameras have {100 * fraction:.2g} % of the grid in common view "
         f"(x {grid.x[0]:g} to {grid.x[1]:g} m, y {grid.y[0]:g} to {grid.y[1]:g} m); `grid` is in metres: "
-        f"{remedy}"
+        f"the cameras see {{x: [{x0:g}, {x1:g}], y: [{y0:g}, {y1:g}]}}; or leave it out"
     )
 
 
-def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
-    """Raise ExperimentError if a height in the settings cannot be in metres.
-    These are elevations, bead heights and thicknesses of light sheets, compared with the distance of the
-    nearest camera. ``source`` names the file of the settings in messages."""
+def refuse_high_water(settings: "Settings", rig: Rig, source: Path | None) -> None:
+    """Raise ExperimentError if a height in the settings is too large for the distance of the cameras."""
     distance = min(_distances(rig))
     for name, value, fraction in (
         ("z_range", settings.z_range, _MAX_ELEVATION_FRACTION),
@@ -132,9 +119,7 @@ def refuse_high_water(settings: "Settings", rig: Rig, source: str) -> None:
 
 
 def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
-    """Raise ExperimentError if the grid, or a camera's part of it, is too small for a wave spectrum.
-    It needs 21 interrogation blocks along its longer side. ``source`` names the file of the grid in
-    messages."""
+    """Raise ExperimentError if the grid, or a camera's part of it, is too small for a wave spectrum."""
     shapes = {"the grid": geometry.lattice.shape}
     shapes |= {f"the part that {name} sees": s.lattice.shape for name, s in geometry.sights.items()}
     for name, (rows, columns) in shapes.items():
@@ -145,25 +130,14 @@ def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
             )
 
 
-def name_of_rig(experiment: Experiment, rig: str | Path | Rig | None) -> str:
-    """Return the name of a rig in messages: its file, or "the rig" if it is given as an object."""
-    if isinstance(rig, Rig):
-        return "the rig"
-    named = experiment.rig if rig is None else rig
-    if isinstance(named, dict):
-        return ", ".join(dict.fromkeys(named.values()))
-    return str(rig) if rig is not None else str(experiment.resolve(named or "rig.yaml"))
-
-
 def _distances(rig: Rig) -> list[float]:
-    """Return the distance of each camera from the water, m, along the line of sight of its image centre.
-    If the image centre is above the horizon, the distance is the height of the camera."""
+    """Return the distance of each camera from the water, m, along the line of sight of its image centre."""
     distances = []
     for camera in rig.cameras.values():
         x, y = (float(v) for v in camera.unproject(*(0.5 * (n - 1) for n in camera.size)))
-        on_water = np.isfinite(x + y)  # else the image centre is above the horizon
-        point = (x, y, 0.0) if on_water else (*camera.centre[:2], 0.0)
-        distances.append(float(np.linalg.norm(np.subtract(camera.centre, point))))
+        if not np.isfinite(x + y):  # the image centre is above the horizon
+            x, y = camera.centre[:2]
+        distances.append(float(np.linalg.norm(np.subtract(camera.centre, (x, y, 0.0)))))
     return distances
 
 
@@ -185,12 +159,9 @@ class PreparedRun:
     recipe: Recipe  # Everything that determines the values of the cube, as plain data
     workflow: Workflow  # Cluster, chunks and settings of the run
     model: "Model | None" = None  # Estimator with the learned record; None before learning
-    # Displacement of the water between frames; None if the settings give the search range
-    motion: FirstGuess | None = None
-    # Range of elevations and of their change between frames; None if the settings give ``z_range``
-    heights: FirstHeights | None = None
-    # (n,): lateness of the frames relative to even times, in frame intervals; None if times are even
-    departures: np.ndarray | None = None
+    motion: FirstGuess | None = None  # Displacement between frames; None if the settings give it
+    heights: FirstHeights | None = None  # Range of elevations; None if the settings give `z_range`
+    departures: np.ndarray | None = None  # (n,): Lateness in frame intervals; None if times are even
 
     def with_prior(self, record: Mapping[str, object]) -> "PreparedRun":
         """Return the same run with the record that was learned from sample frames, given as plain data."""
@@ -203,6 +174,20 @@ class PreparedRun:
     def record(self) -> "LearnedRecord | None":
         """What was learned from sample frames: bead widths, wave spectra, noise; None before learning."""
         return None if self.model is None else self.model.record
+
+    def read_uncovered(self, name: str, frame: int) -> Any:
+        """Return an image of the camera ``name`` with masked pixels filled; None if it is missing or bad."""
+        return self.series[name].read_uncovered(frame)
+
+    @property
+    def frame_rate(self) -> float:
+        """Frames per second, Hz."""
+        return self.experiment.frame_rate
+
+    @property
+    def in_light_sheet(self) -> bool:
+        """Whether particles in a light sheet are measured, not the surface."""
+        return self.geometry.settings.sheet_thickness is not None
 
     @property
     def steps(self) -> int:
@@ -221,12 +206,14 @@ class PreparedRun:
 
     @property
     def chunk_steps(self) -> int:
-        """Number of steps per chunk of a new store."""
-        workflow = self.workflow
-        chunk = workflow.steps_per_block or choose_chunk_steps(
-            self.steps, count_workers(workflow), self.step_bytes, workflow.memory_bytes
-        )
-        return min(chunk, self.steps)
+        """Number of steps per chunk of a new store, which fits into memory and divides the steps evenly."""
+        workers, memory = count_workers(self.workflow), self.workflow.memory_bytes
+        # half of the memory is for the results: as measured, stacked and compressed, with some reserve
+        fitting = int((memory or 1_500_000_000) // 2 // (4 * self.step_bytes))
+        longest = max(1, min(MAX_CHUNK_STEPS, fitting))
+        rounds = -(-self.steps // (workers * longest))
+        chosen = self.workflow.steps_per_block or min(longest, -(-self.steps // (workers * rounds)))
+        return max(1, min(chosen, self.steps))
 
 
 def prepare(
@@ -234,19 +221,16 @@ def prepare(
     rig: str | Path | Rig | None = None,
     workflow: str | Path | Workflow | None = None,
 ) -> PreparedRun:
-    """Read and check the inputs of a run; writes nothing.
-    ``rig`` is used instead of the rig that the experiment names. Search ranges that the settings do not give
-    are estimated from sample images. Raises ExperimentError or RigError if a file is missing or wrong, or if
-    rig, grid or elevations cannot be in metres."""
+    """Read and check the inputs of a run, and estimate search ranges that the settings do not give.
+    ``rig`` is used instead of the rig that the experiment names."""
     from wavefield.measurement import GridGeometry
 
     experiment, workflow = load_files(experiment, workflow)
     series = experiment.open_frames()
-    rig_file = name_of_rig(experiment, rig)
+    rig_file = "the rig" if isinstance(rig, Rig) else str(rig or experiment.rig or "rig.yaml")
     if not isinstance(rig, Rig):
         rig = experiment.load_rig(rig, series)
-    used = {name: rig[name] for name in experiment.measuring_cameras}
-    rig = replace(rig, cameras=used)
+    rig = replace(rig, cameras={name: rig[name] for name in experiment.measuring_cameras})
     refuse_implausible_rigs(experiment, rig, rig_file)
     settings = make_settings(experiment, workflow)
     try:
@@ -254,16 +238,15 @@ def prepare(
     except ValueError as error:  # the node spacing is too large for the field of the cameras
         raise ExperimentError(f"{experiment.path}: {error}") from None
     refuse_unseen_grids(experiment, rig, grid)
-    refuse_high_water(
-        settings, rig, str(workflow.path if "z_range" in workflow.settings else experiment.path)
-    )
-    series = {name: series[name] for name in used}
+    refuse_high_water(settings, rig, workflow.path if "z_range" in workflow.settings else experiment.path)
     covered = masks.footprints(experiment.mask)
     geometry = GridGeometry(rig, grid, settings, covered)
+    series = {name: series[name] for name in rig}
     series = masks.covered_series(experiment.mask, series, rig, experiment.path.parent)
     look = _SampleImages(series, geometry)
     motion, heights = None, None
-    if not _states_search(experiment, workflow):
+    given = (source.settings.get("piv") for source in (experiment, workflow))
+    if not any(isinstance(piv, Mapping) and {"search_x", "search_y"} & set(piv) for piv in given):
         motion = first_guess(look.read, geometry.velocity_cameras, look.steps)
         settings = wide_enough(settings, motion)
     if settings.z_range is None:
@@ -280,14 +263,8 @@ def prepare(
     )
 
 
-def _states_search(experiment: Experiment, workflow: Workflow) -> bool:
-    """Whether the settings of experiment or workflow give the search range of displacements."""
-    given = (source.settings.get("piv") for source in (experiment, workflow))
-    return any(isinstance(piv, Mapping) and {"search_x", "search_y"} & set(piv) for piv in given)
-
-
 class _SampleImages:
-    """Images of sample steps, filtered as the matching does; those of the sample steps are kept."""
+    """Images of a record, filtered as the matching does."""
 
     def __init__(self, series: Mapping[str, FrameSeries], geometry: "GridGeometry") -> None:
         self.series, self.geometry = series, geometry
@@ -299,28 +276,24 @@ class _SampleImages:
 
     def read(self, name: str, frame: int) -> np.ndarray | None:
         """Return a filtered image of the camera ``name``; None if it is missing or bad."""
-        if frame not in self.steps:
-            return self._read(name, frame)
-        if (name, frame) not in self._shared:
-            self._shared[name, frame] = self._read(name, frame)
-        return self._shared[name, frame]
-
-    def _read(self, name: str, frame: int) -> np.ndarray | None:
         from wavefield.measurement.images import bead_width, ready, usable
 
-        image = self.series[name].read_uncovered(frame)
-        if not usable(image, self.geometry.rig[name].size):
-            return None
-        if name not in self._widths:
-            self._widths[name] = bead_width(np.asarray(image))
-        return ready(np.asarray(image), self.geometry.sights[name].binning, self._widths[name])
+        if (name, frame) in self._shared:
+            return self._shared[name, frame]
+        image, flat = self.series[name].read_uncovered(frame), None
+        if usable(image, self.geometry.rig[name].size):
+            if name not in self._widths:
+                self._widths[name] = bead_width(np.asarray(image))
+            flat = ready(np.asarray(image), self.geometry.sights[name].binning, self._widths[name])
+        if frame in self.steps:
+            self._shared[name, frame] = flat
+        return flat
 
 
 def load_files(
     experiment: str | Path | Experiment, workflow: str | Path | Workflow | None
 ) -> tuple[Experiment, Workflow]:
-    """Return the experiment and the workflow, read from their files unless they are given as objects.
-    Without a workflow, the default workflow is returned."""
+    """Return the experiment and the workflow, read from their files unless they are given as objects."""
     if not isinstance(experiment, Experiment):
         experiment = Experiment.load(experiment)
     if not isinstance(workflow, Workflow):
@@ -331,8 +304,7 @@ def load_files(
 def make_recipe(
     experiment: Experiment, series: Mapping[str, FrameSeries], geometry: "GridGeometry", packing: str
 ) -> Recipe:
-    """Return the recipe of a run: everything that determines the values of the cube.
-    ``packing`` is the type of the stored values, "float32" or "int16"."""
+    """Return the recipe of a run: everything that determines the values of the cube."""
     one = next(iter(series.values()))
     return Recipe(
         experiment=experiment.name,
@@ -350,8 +322,7 @@ def make_recipe(
 
 
 def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
-    """Return the settings of the measurement.
-    Settings of the workflow take precedence over settings of the experiment, and these over the defaults."""
+    """Return the settings: those of the workflow, else those of the experiment, else the defaults."""
     from wavefield.measurement.settings import Settings
 
     for source in (experiment, workflow):  # checked one by one, so that errors name the right file
@@ -368,15 +339,3 @@ def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
         nested = isinstance(value, Mapping) and isinstance(data.get(name), Mapping)
         data[name] = {**data[name], **value} if nested else value
     return Settings.from_dict(data)
-
-
-def choose_chunk_steps(steps: int, workers: int, step_bytes: int, memory: int | None) -> int:
-    """Return the number of steps per chunk.
-    It is at most `MAX_CHUNK_STEPS`, small enough for memory, and divides the steps evenly between the
-    workers. ``step_bytes`` is the size of the results of one step, and ``memory`` the memory of a worker,
-    bytes."""
-    # half of the memory is for the results: as measured, stacked and compressed, with some reserve
-    fitting = int((memory or 1_500_000_000) // 2 // (4 * step_bytes))
-    longest = max(1, min(MAX_CHUNK_STEPS, fitting))
-    rounds = -(-steps // (workers * longest))
-    return max(1, min(longest, -(-steps // (workers * rounds))))

@@ -1,28 +1,27 @@
 """Process an experiment into a store, chunk by chunk, in one process or many.
 
 A step is the interval between two consecutive frames; a chunk is a range of steps that one task measures and
-writes. The ledger is the status of each step in the store (`wavefield.store.ledger`). After an interruption
-(Ctrl-C, time limit, failed scheduler, full disk) the same command resumes: it measures only the chunks that
-the ledger does not mark as done. A recipe is everything that determines the values of a cube.
+writes. After an interruption (Ctrl-C, time limit, failed scheduler, full disk) the same command resumes: it
+measures only the chunks that the ledger, the status of each step in the store, does not mark as done.
 """
 
 import json
 import logging
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from wavefield.errors import RunStopped, StoreError, WavefieldError
-from wavefield.execution.cluster import open_cluster, threads_here
-from wavefield.execution.lock import Lock
+from wavefield.execution.cluster import MapUnordered, open_cluster, threads_here
+from wavefield.execution.lock import locked
 from wavefield.execution.process import deferred_signals, stop_signals, stopped_by
 from wavefield.execution.run_log import jobs_folder, log_file, log_path
 from wavefield.execution.workflow import Workflow
-from wavefield.pipeline.chunk import Chunk, Work, make_chunk, read_frame
+from wavefield.pipeline.chunk import Chunk, make_chunk, measure_and_write, read_frame
 from wavefield.pipeline.learning import learn_record, once_per_cube
 from wavefield.pipeline.opened_run import check_images, fingerprints, labels
 from wavefield.pipeline.prepare import PreparedRun, load_files, prepare, refuse_small_fields
@@ -40,11 +39,10 @@ from wavefield.store.verdict import check_verdict
 from wavefield.store.verify import missing_chunks
 from wavefield.store.write_cube import relabel, remove_partial_files, reset_chunks
 from wavefield.text import spell_time
-from wavefield.variables import AROUND, FrameFault, FrameStatus, frames_of_path
+from wavefield.variables import AROUND, FrameFault, FrameStatus
 
 log = logging.getLogger("wavefield.run")
 ProgressFunction = Callable[[int, int, str], None]
-MapFunction = Callable[[Work, Sequence[Chunk]], Generator[tuple[Chunk, Any]]]
 
 MEASURING = ("wavefield.measurement.step", "wavefield.pipeline.chunk")  # modules that workers import at start
 ASSESSING = "assessing the cube"  # message of the last stage of a run
@@ -84,7 +82,8 @@ def run(
     ExperimentError, RigError
         If a file is missing or wrong; nothing has been written then.
     StoreError
-        If the store has another recipe, cannot be written, or is being written by another run.
+        If the store has another recipe or other images, cannot be written, or is being written by another
+        run.
     RunStopped
         If the run was interrupted.
 
@@ -93,16 +92,14 @@ def run(
     Results do not depend on the number of workers or the size of chunks.
 
     A run resumes only with the recipe of its store: settings, rig, grid, names of images, and the version of
-    the algorithm. Labels (name, description, water) may change: they are updated in the cube, and nothing is
-    measured again. A StoreError is raised if the first, middle or last image of a camera has changed under
-    the same name.
+    the algorithm. Name, description and water may change.
 
     Worker processes import the program that started them: in a script, call this below
     ``if __name__ == "__main__":``.
 
     Examples
     --------
-    Two steps of a small simulated tank, in this process. After an interruption the same call would resume.
+    Two steps of a small simulated tank, in this process.
 
     >>> import tempfile
     >>> from wavefield.images import write_image
@@ -124,9 +121,9 @@ def run(
     (True, (2, 13, 9))
     """
     experiment, workflow = load_files(experiment, workflow)
-    path = Path(out) if out is not None else experiment.resolve("cube.zarr")
+    path = Path(out if out is not None else experiment.resolve("cube.zarr")).absolute()
     with ExitStack() as stack:
-        lock = stack.enter_context(Lock.hold(path.absolute()))
+        stack.enter_context(locked(path))
         if path.exists():
             open_group(path)  # refuses a folder that is not a cube
         check_verdict(path)
@@ -134,20 +131,15 @@ def run(
             map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), MEASURING))
             prepared = prepare(experiment, rig, workflow)
             refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
-        return process(prepared, lock, map_unordered, progress)
+        return process(prepared, path, map_unordered, progress)
 
 
 def process(
-    prepared: PreparedRun,
-    lock: Lock,
-    map_unordered: MapFunction,
-    progress: ProgressFunction | None = None,
+    prepared: PreparedRun, path: Path, map_unordered: MapUnordered, progress: ProgressFunction | None = None
 ) -> Status:
-    """Create the store or resume it, measure all chunks that are left, and assess the cube.
-    ``lock`` is the lock on the store, which the caller holds. ``map_unordered(work, chunks)`` runs the tasks
-    on workers, and yields each chunk with its result or error. Raises RunStopped if the run is
-    interrupted."""
-    path = lock.store
+    """Create the store ``path`` or resume it, measure all chunks that are left, and assess the cube.
+    The caller has locked the store. ``map_unordered(work, chunks)`` runs the tasks on workers, and yields
+    each chunk with its result or error."""
     with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
         try:
             prepared, layout = _open_or_create(prepared, path)
@@ -155,25 +147,25 @@ def process(
             if ranges:
                 update_metadata(path, {FINISHED: None})
             todo = [make_chunk(prepared.series, start, stop, prepared.departures) for start, stop in ranges]
-            done = layout.steps - sum(chunk.steps for chunk in todo)
-            tracker = _Tracker(layout.steps, done, progress)
+            tracker = _Tracker(layout.steps, layout.steps - sum(chunk.steps for chunk in todo), progress)
             tracker.report(f"{path.name}: recipe {prepared.recipe.hash}, {len(todo)} chunks to measure")
             if todo:
-                _work_off(prepared, lock, todo, map_unordered, tracker)
+                _work_off(prepared, path, todo, map_unordered, tracker)
                 tracker.report(ASSESSING)
             tracker.report("done")
         except KeyboardInterrupt as stop:
+            now = status(path) if path.exists() else None
+            done = f" after {now.steps - now.left} of {now.steps} steps" if now else " before it began"
             raise RunStopped(
-                f"{stopped_by(stop)}{_how_far(path)}; nothing is lost, and the same command resumes"
+                f"{stopped_by(stop)}{done}; nothing is lost, and the same command resumes"
             ) from None
     with deferred_signals():  # slow imports, which only the end of a run needs
-        from wavefield.pipeline.assess import assess_run, check_record, store_pair_statistics
+        from wavefield.pipeline.assess import assess_run, clear_discontinuous_steps, store_pair_statistics
     found = status(path)
-    ratios = check_record(prepared, found)
+    clear_discontinuous_steps(prepared, found)
     if found.complete:
         store_pair_statistics(prepared, path)
-    verdict = assess_run(prepared, found, ratios)
-    verdict.save(path)
+    assess_run(prepared, found).save(path)
     if found.complete:
         if not open_group(path).attrs.get(FINISHED):
             update_metadata(path, {FINISHED: True})
@@ -184,17 +176,8 @@ def process(
     return status(path)
 
 
-def _how_far(path: Path) -> str:
-    """Return words on how many steps are done, for the message of a stopped run."""
-    if not path.exists():
-        return " before it began"
-    now = status(path)
-    return f" after {now.steps - now.left} of {now.steps} steps"
-
-
 def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, StoreLayout]:
-    """Open the store of a run if it exists and fits, or else learn the record and create the store.
-    Returns the run with what was learned from its record, and the layout of the store."""
+    """Open the store of a run, or learn the record and create the store; returns run and layout."""
     if path.exists():
         group = open_group(path)
         check_recipe(path, group.attrs, prepared.recipe)
@@ -205,15 +188,10 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
             log.info("label changed, nothing is measured again: %s", change)
         return prepared, read_layout(open_group(path))
     log.info("learning bead widths, spectra and noise from sample frames")
-    threads = threads_here(prepared.workflow)
-    learned = learn_record(
-        prepared.series, prepared.steps, prepared.geometry, prepared.experiment.frame_rate, threads
-    )
+    source, threads = prepared.series, threads_here(prepared.workflow)
+    learned = learn_record(source, prepared.steps, prepared.geometry, prepared.frame_rate, threads)
     prepared = prepared.with_prior(learned)
-    if prepared.recipe.record:
-        log.info("velocities along paths of %d frames", frames_of_path(prepared.recipe.record["path_frames"]))
-    grid = prepared.grid
-    cameras = tuple(prepared.series)
+    grid, cameras = prepared.grid, tuple(prepared.series)
     layout = StoreLayout(prepared.steps, prepared.chunk_steps, cameras, prepared.first_frame)
     attributes = {
         "pixel_size": pixel_size(prepared.rig, grid),
@@ -227,47 +205,38 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
 
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
-    """Return the chunks to measure, as (start, stop) in steps.
-    They are chunks that are not done, whose files are missing, or that had bad frames which are readable now.
-    Chunks that were done before are marked as not started in the store."""
+    """Return the chunks to measure, as (start, stop) in steps, and mark them as not started in the store.
+    They are not done, their files are missing, or they had bad frames that are readable now."""
     from wavefield.measurement.images import usable
 
     missing = missing_chunks(path, layout)
     if missing:
         log.warning("files of %d chunks are missing; they are measured again", len(missing))
-        reset_chunks(path, missing)
-    group = open_group(path)
-    ledger = np.asarray(group["frame_status"][:])
-    faults = np.asarray(group["frame_fault"][:])
+    faults = np.asarray(open_group(path)["frame_fault"][:])
     repaired = np.zeros(layout.steps + 1, bool)
     for camera, index in np.argwhere((faults != 0) & (faults != FrameFault.RANGE)):
         one = series[layout.cameras[camera]]
         frame = read_frame(one, int(index))
         repaired[index] |= not frame.fault and usable(frame.image, one.shape[::-1])
-    again, todo = [], []
-    for start, stop in layout.chunks():
-        if (ledger[start:stop] == FrameStatus.NOT_STARTED).any():
-            todo.append((start, stop))
-        elif repaired[max(start - AROUND, 0) : stop + 1 + AROUND].any():
-            again.append(start)
-            todo.append((start, stop))
+    chunks = list(layout.chunks())
+    again = [a for a, b in chunks if repaired[max(a - AROUND, 0) : b + 1 + AROUND].any()]
     if again:
         log.info("frames that were bad are readable now; %d chunks are measured again", len(again))
-        reset_chunks(path, again)
-    return todo
+    if missing or again:
+        reset_chunks(path, sorted({*missing, *again}))
+    ledger = np.asarray(open_group(path)["frame_status"][:])
+    return [(a, b) for a, b in chunks if (ledger[a:b] == FrameStatus.NOT_STARTED).any()]
 
 
 def _work_off(
-    prepared: PreparedRun, lock: Lock, todo: Sequence[Chunk], map_unordered: MapFunction, tracker: "_Tracker"
+    prepared: PreparedRun, path: Path, todo: Sequence[Chunk], map_unordered: MapUnordered, tracker: "_Tracker"
 ) -> None:
     """Measure chunks on the workers, and count them in ``tracker``.
-    A WavefieldError of a chunk is raised at once. After any other errors, StoreError is raised at the end, or
-    as soon as three chunks have failed and none has succeeded."""
-    path = lock.store
-    work = Work(path, prepared.geometry, prepared.model, prepared.experiment.frame_rate)
+    A WavefieldError of a chunk is raised at once, other errors at the end or once three chunks have failed
+    and none has succeeded."""
+    work = partial(measure_and_write, path, prepared.geometry, prepared.model, prepared.frame_rate)
     failures: list[tuple[Chunk, BaseException]] = []
     succeeded = 0
-    tracker.start()
     # on an error, closing cancels the tasks that are left before anything else happens
     with closing(map_unordered(work, todo)) as results:
         for chunk, result in results:
@@ -280,9 +249,9 @@ def _work_off(
                     break
                 continue
             succeeded += 1
-            for message in result.messages:
+            for message in result:
                 log.warning("%s", message)
-            tracker.add(result.stop - result.start)
+            tracker.add(chunk.steps)
     if failures:
         chunk, error = failures[0]
         raise StoreError(
@@ -299,10 +268,6 @@ class _Tracker:
         self.total, self.done, self._progress = total, done, progress
         self._since, self._before, self._logged = time.monotonic(), done, 0.0
 
-    def start(self) -> None:
-        """Start the clock from which the time that is left is estimated."""
-        self._since = time.monotonic()
-
     def add(self, steps: int) -> None:
         """Count steps that were measured, and report the time left."""
         self.done += steps
@@ -312,11 +277,13 @@ class _Tracker:
         if now - self._logged > 10 or self.done == self.total:
             self._logged = now
             log.info("%d of %d steps%s", self.done, self.total, f", {sentence}" if sentence else "")
-        if self._progress:
-            self._progress(self.done, self.total, sentence)
+        self._tell(sentence)
 
     def report(self, sentence: str) -> None:
         """Report a stage of the run, such as "assessing the cube"."""
         log.info("%s", sentence)
+        self._tell(sentence)
+
+    def _tell(self, sentence: str) -> None:
         if self._progress:
             self._progress(self.done, self.total, sentence)

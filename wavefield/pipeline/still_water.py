@@ -24,10 +24,9 @@ def level_at_rest(
     frames: int = FRAMES,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Rig, RigCheck, WaterPlane]:
-    """Correct a rig and level it, so that z = 0 is the water, with a record of still, seeded water.
+    """Correct a rig, and level it so that z = 0 is the water, with some frames of still, seeded water.
     Returns the corrected rig; a check of how well sight lines of its cameras met before; and the plane of the
-    water before levelling. ``experiment`` describes the still-water record, of which ``frames`` frames are
-    matched. ``progress`` is called with the number of frames done and of all frames."""
+    water before levelling."""
     from wavefield.calibration.still_water import refine_and_level
     from wavefield.measurement.pair import matched_pixels
 

@@ -8,8 +8,8 @@ two consecutive frames; a patch is a square of `SIDE` pixels on the water.
 A camera that is delayed by tau sees every bead displaced by tau times its velocity. The component along the
 parallax looks like height. The component across it is eps_y, so tau is the slope of a regression of eps_y on
 the velocity across the parallax, over the patches of several frames. Each frame has its own constant and
-linear terms, which absorb the motion of the mounts. A rolling shutter reads rows one after the other: the
-delay then grows with the difference between the rows in which two cameras see a patch.
+linear terms, which absorb the motion of the mounts. Rolling shutters are corrected if the experiment file
+gives their `row_time`; one that it does not give is not found.
 
 If eps_y and velocity differed in resolution, tau would be too large, so both are averaged over the same
 patches. The velocity is the mean of the steps before and after the frame, which is 5 % too low for 2 Hz waves
@@ -18,15 +18,16 @@ at 20 frames per second. `BIAS` includes this error in the uncertainty.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavefield.quality.cameras import MIN_PATCHES, SIDE, Array, Pair, rms_over_field, scaled
-from wavefield.quality.remarks import CELLS, GRAVE_EPS_Y, MAX_EPS_Y, MAX_NODES, MIN_NODES, SIGNIFICANCE
+from wavefield.measurement.outliers import MIN_NODES
+from wavefield.quality.cameras import MIN_PATCHES, SIDE, Array, Pair, Read, rms_over_field, scaled
+from wavefield.quality.remarks import CELLS, GRAVE_EPS_Y, MAX_EPS_Y, MAX_SAMPLES, SIGNIFICANCE
 from wavefield.robust import robust_std
 from wavefield.store.verdict import Remark
 
@@ -35,15 +36,13 @@ if TYPE_CHECKING:
     from wavefield.rig import Camera
 
 BIAS = 0.05  # relative error of a delay, because velocities are averaged over two steps (see above)
+MIN_STEPS_PER_SIDE = 3  # steps before and after a jump
 MIN_VELOCITY = 0.03  # px per frame, rms after the fit of linear terms: less is matching noise
-MAX_STD = 0.5  # frame intervals: a delay with a larger uncertainty is not reported
-
-Images = Mapping[str, NDArray[Any] | None]  # image of each camera at one frame
 
 
 @dataclass(frozen=True)
 class Delay:
-    """A delay of one camera behind another, or of an image row behind the row above."""
+    """A delay of one camera behind another."""
 
     seconds: float  # Delay, s; negative if earlier
     std: float  # Standard uncertainty, s
@@ -57,25 +56,21 @@ class Sample:
     velocity: Array  # (m,): Velocity of the beads across the parallax, px per frame
     design: Array  # (m, 3): Columns of the linear fit: 1, x and y, both scaled to -1 to 1
     speed: float = 0.0  # Mean horizontal speed of the beads, px per frame
-    rows: Array | None = None  # (m,): Row in the second image minus row in the first, each from mid-image
 
 
 class Synchrony(NamedTuple):
-    """Result of `delays`: delays between cameras, and the delay from one image row to the next."""
+    """Result of `delays`: delays between cameras, and the speed of the water."""
 
     delays: dict[str, Delay]  # Delay of each camera relative to the median camera
     speed: float = 0.0  # Median speed of the beads, px/s
-    row_time: Delay | None = None  # Of a row behind the row above, minus the stated `row_time`
-    rows: int = 0  # Rows of the largest image
 
 
 def sample(
     geometry: "GridGeometry", pair: Pair, flat: Mapping[str, Any], displacement: NDArray[np.floating]
 ) -> Sample | None:
-    """Average the epipolar error eps_y and the velocity over the patches that two cameras match.
-    ``flat`` holds the filtered image of each camera. ``displacement`` (3, ny, nx) is the displacement of the
-    water at the grid nodes, metres per frame, NaN where not measured. Returns None if an image is missing or
-    too few patches match."""
+    """Return means over the patches that two cameras match; None if an image is missing or too few match.
+    ``flat`` holds the filtered image of each camera. ``displacement`` (3, ny, nx) is that of the water at the
+    grid nodes, metres per frame, NaN where not measured."""
     from wavefield.measurement.pair import match_pair
 
     if not all(name in flat for name in pair):
@@ -103,24 +98,22 @@ def sample(
     if x.size < MIN_PATCHES:
         return None
     eps_y, velocity, speed = (v / geometry.pixel for v in (eps_y, velocity, speed))
+    row_delays = dict(geometry.settings.row_delays)  # of rolling shutters
     rows = [c.project(x, y, 0.0)[1] - 0.5 * (c.size[1] - 1) for c in (first, second)]  # from mid-image
-    row_delays = dict(geometry.settings.row_delays)
     delay = row_delays.get(pair[1], 0.0) * rows[1] - row_delays.get(pair[0], 0.0) * rows[0]
     design = np.stack([np.ones(x.size), scaled(x), scaled(y)], axis=-1)
-    return Sample(eps_y - delay * velocity, velocity, design, float(speed.mean()), rows[1] - rows[0])
+    return Sample(eps_y - delay * velocity, velocity, design, float(speed.mean()))
 
 
 def _sight_slope(camera: "Camera", axis: int, v: Array) -> Array:
-    """Return how far a sight line's intersection with the water shifts per metre of elevation.
-    The shift is along x (``axis`` 0) or y (1), for sight lines that meet z = 0 at the coordinates ``v``,
-    metres."""
+    """Return the shift of sight lines' intersections with the water per metre of elevation, along one axis.
+    ``v`` are the coordinates along that axis, metres, where the sight lines meet z = 0."""
     return np.asarray((v - camera.centre[axis]) / -camera.centre[2])
 
 
 def _patch_means(values: Array, side: float) -> Array:
-    """Average quantities, given in blocks, over square patches of the field.
-    ``values`` is (quantities, blocks); its first two rows are x and y, and ``side`` is the side of a patch in
-    the same unit. Returns (quantities, patches) without patches that hold few blocks."""
+    """Average ``values`` (quantities, blocks), whose first two rows are x and y, over square patches.
+    ``side`` is the side of a patch in the unit of x. Patches that hold few blocks are left out."""
     if not values.size:
         return values
     column, row = np.floor((values[:2] - values[:2].min(axis=1)[:, None]) / side).astype(np.intp)
@@ -131,15 +124,9 @@ def _patch_means(values: Array, side: float) -> Array:
 
 
 def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
-    """Fit the delay of the second camera behind the first to samples of several frames.
-
+    """Fit the delay of the second camera behind the first by a robust regression over several frames.
     Returns the delay and its standard uncertainty, in frame intervals; None for fewer than two frames, or if
-    the water hardly moves. The fit is a robust regression of eps_y on the velocity across the parallax.
-
-    The uncertainty is a jackknife over `CELLS` x `CELLS` parts of the field, each left out at all frames:
-    neighbouring patches are correlated, frames may show the same beads, and one part alone may determine the
-    delay.
-    """
+    the water hardly moves."""
     if len(samples) < 2:
         return None
     weights = [np.ones(len(s.eps_y)) for s in samples]
@@ -150,7 +137,10 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
         delay, left = _fit_delay(samples, weights)
         limit = 2.5 * robust_std(np.concatenate(left)) + 1e-9
         weights = [np.minimum(1.0, limit / np.maximum(np.abs(r), 1e-12)) for r in left]
-    cells = [_cell_numbers(s) for s in samples]
+    # uncertainty: a jackknife over parts of the field, each left out at all frames, because neighbouring
+    # patches are correlated, frames may show the same beads, and one part alone may determine the delay
+    cells = [np.clip((s.design[:, 1:3] + 1) * (0.5 * CELLS), 0, CELLS - 1).astype(int) for s in samples]
+    cells = [row * CELLS + column for column, row in (c.T for c in cells)]
     others = [
         _fit_delay(samples, [w * (c != cell) for w, c in zip(weights, cells)])[0]
         for cell in np.unique(np.concatenate(cells))
@@ -160,9 +150,8 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
 
 
 def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[float, list[Array]]:
-    """Fit the delay by weighted least squares.
-    ``weights`` holds the weights of the patches of each sample. Returns the delay, in frame intervals, and
-    the residuals of eps_y of each sample, px."""
+    """Fit the delay by least squares with weights of the patches.
+    Returns the delay, in frame intervals, and the residuals of eps_y of each sample, px."""
     residuals = [_residuals(s, w) for s, w in zip(samples, weights)]
     power = sum(float((w * v * v).sum()) for (_, v), w in zip(residuals, weights))
     delay = sum(float((w * v * y).sum()) for (y, v), w in zip(residuals, weights)) / max(power, 1e-12)
@@ -170,9 +159,7 @@ def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[flo
 
 
 def _residuals(one: Sample, weight: Array) -> tuple[Array, Array]:
-    """Remove a constant and linear terms in x and y from eps_y and from the velocity.
-    These terms are fitted with the weights of the patches (m,). Returns the rest of eps_y and of the
-    velocity, each (m,)."""
+    """Return eps_y and the velocity without a constant and linear terms, fitted with weights of patches."""
     root = np.sqrt(weight)[:, None]
     both = np.stack([one.eps_y, one.velocity], axis=-1)
     fit = np.linalg.lstsq(root * one.design, root * both, rcond=None)[0]
@@ -180,81 +167,50 @@ def _residuals(one: Sample, weight: Array) -> tuple[Array, Array]:
     return rest[:, 0], rest[:, 1]
 
 
-def fit_row_time(samples: Sequence[Sample]) -> tuple[float, float] | None:
-    """Fit the delay from one image row to the next, which is assumed to be equal in both cameras.
-    Returns the delay and its standard uncertainty, in frame intervals; None if they cannot be determined."""
-    return regress(
-        [
-            replace(s, velocity=s.velocity * s.rows, design=np.column_stack([s.design, s.velocity]))
-            for s in samples
-            if s.rows is not None
-        ]
-    )
-
-
-def _cell_numbers(one: Sample) -> NDArray[np.intp]:
-    """Return, for each patch (m,), the number of the part of the field in which it lies.
-    The field has `CELLS` x `CELLS` parts."""
-    column, row = np.clip((one.design[:, 1:3].T + 1) * (0.5 * CELLS), 0, CELLS - 1).astype(np.intp)
-    return np.asarray(row * CELLS + column)
-
-
 def delays(
     geometry: "GridGeometry",
     record: "LearnedRecord",
     frames: Sequence[int],
-    images: Callable[[int], Images],
+    read: Read,
     displacement: Callable[[int], NDArray[np.floating]],
     rate: float,
     threads: int = 1,
 ) -> Synchrony:
-    """Measure the delays between cameras, and the delay from one image row to the next.
-
-    ``images`` returns the images of a frame by camera. ``displacement`` returns the displacement of the water
-    at the grid nodes at that frame, (3, ny, nx), metres per frame, NaN where not measured. ``frames`` are the
-    frames to use, ``record`` holds the width of the beads in each camera, and ``rate`` is the frame rate, Hz.
-
-    The delays are relative to the median camera. The result is empty if the delay of any pair of cameras is
-    not determined.
-    """
+    """Measure the delays of the cameras from some frames; empty if that of any pair is not determined.
+    ``displacement`` returns that of the water at the grid nodes, (3, ny, nx), metres per frame, NaN where not
+    measured. ``rate`` is the frame rate, Hz."""
     pair_delays: dict[Pair, tuple[float, float]] = {}
-    row_times: list[tuple[float, float]] = []
     speeds: list[float] = []
 
     def samples_at(frame: int) -> list[Sample | None]:
-        flat = _prepared(images(frame), geometry, dict(record.beads))
+        flat = _prepared(read, frame, geometry, dict(record.beads))
         moved = displacement(frame)
         return [sample(geometry, pair, flat, moved) for pair in geometry.pairs]
 
+    if not geometry.pairs:
+        return Synchrony({})
     with ThreadPoolExecutor(threads) as pool:
         found_at = list(pool.map(samples_at, frames))
     for pair, of_pair in zip(geometry.pairs, zip(*found_at)):
         samples = [s for s in of_pair if s is not None]
         speeds += [s.speed for s in samples]
         found = regress(samples)
-        if found is None or found[1] > MAX_STD:
+        if found is None:
             return Synchrony({})
         pair_delays[pair] = found
-        if (row_time := fit_row_time(samples)) is not None:
-            row_times.append(row_time)
-    if not pair_delays:
-        return Synchrony({})
-    height = max(geometry.rig[name].size[1] for name in geometry.surface_cameras)
-    surest = min(row_times, key=lambda one: one[1], default=None)
-    readout = Delay(surest[0] / rate, surest[1] / rate) if surest else None
-    return Synchrony(_camera_delays(pair_delays, rate), rate * float(np.median(speeds)), readout, height)
+    return Synchrony(_camera_delays(pair_delays, rate), rate * float(np.median(speeds)))
 
 
 def _prepared(
-    images: Mapping[str, NDArray[Any] | None], geometry: "GridGeometry", widths: Mapping[str, float]
+    read: Read, frame: int, geometry: "GridGeometry", widths: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Filter the images of one frame for matching between cameras; returns them by camera.
-    Missing or bad images are left out. ``widths`` is the width of the beads in each camera, px."""
+    """Return the images of one frame, filtered for matching between cameras, without missing or bad ones.
+    ``widths`` is the width of the beads in each camera, px."""
     from wavefield.measurement.images import prepare, ready, usable
 
     out = {}
     for name in geometry.surface_cameras:
-        image = images.get(name)
+        image = read(name, frame)
         if image is not None and usable(image, geometry.rig[name].size):
             flat = ready(image, geometry.sights[name].binning, widths[name])
             out[name] = prepare(flat, name, geometry)
@@ -262,9 +218,7 @@ def _prepared(
 
 
 def _camera_delays(found: Mapping[Pair, tuple[float, float]], rate: float) -> dict[str, Delay]:
-    """Convert delays of pairs, in frame intervals, to the delay of each camera, in seconds.
-    ``found`` holds the delay and its uncertainty for each pair (reference camera, other camera). The result
-    is relative to the median camera, or to the reference camera if there are only two."""
+    """Convert delays of pairs (reference camera, other camera), in frame intervals, to delays of cameras."""
     delays = {next(iter(found))[0]: (0.0, 0.0)} | {name: one for (_, name), one in found.items()}
     # only differences are measured: zero is the median camera of three or more, the reference camera of two
     median = next(iter(delays))
@@ -279,7 +233,7 @@ def _camera_delays(found: Mapping[Pair, tuple[float, float]], rate: float) -> di
 
 
 def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
-    """Report cameras that are delayed, and a rolling shutter that the experiment file does not mention."""
+    """Report cameras that are delayed."""
     for name, one in found.delays.items():
         off, word = abs(one.seconds) * found.speed, "later" if one.seconds > 0 else "earlier"
         if abs(one.seconds) > SIGNIFICANCE * one.std and off > MAX_EPS_Y:
@@ -293,23 +247,6 @@ def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
                 "Trigger all cameras by one signal, with the same exposure time",
                 {"delay": one.seconds, "std": one.std, "px": off},
             )
-    if found.row_time is None:
-        return
-    late, std = abs(found.row_time.seconds) * found.rows, found.row_time.std * found.rows
-    off = 0.5 * late * found.speed
-    if late < SIGNIFICANCE * std or off < MAX_EPS_Y:
-        return
-    order = "after" if found.row_time.seconds > 0 else "before"
-    yield Remark(
-        "cameras",
-        "rolling shutter",
-        "remark",
-        f"the last row of an image is read {1e3 * late:.2g} ms {order} the first (+- {1e3 * std:.2g} ms)",
-        f"The water moves {off:.2f} px from mid-image to the edge: z and velocities are wrong there",
-        "Give `row_time` of each camera with a rolling shutter, and of no other, from its data sheet "
-        f"(about {abs(found.row_time.seconds):.2g} s if all are equal), or use global shutters",
-        {"row_time": found.row_time.seconds, "std": found.row_time.std, "px": off},
-    )
 
 
 def spell_delays(found: Mapping[str, Delay]) -> str:
@@ -326,11 +263,6 @@ def spell_delays(found: Mapping[str, Delay]) -> str:
     return "; ".join(words) or "not determined: the water hardly moves, or too few patches match"
 
 
-# -- motion of the mounts, from eps_y at every step
-
-MIN_STEPS_PER_SIDE = 3  # steps before and after a jump
-
-
 @dataclass(frozen=True)
 class CameraMotion:
     """Motion of the cameras, as a constant and linear terms fitted to the epipolar error of each step."""
@@ -340,8 +272,7 @@ class CameraMotion:
     std: Array  # (n, 3): Standard uncertainty of the coefficients, px
 
 
-@dataclass(frozen=True)
-class Knock:
+class Knock(NamedTuple):
     """A sudden turn of a camera within the record."""
 
     frame: int  # First frame after the knock (index in the record)
@@ -351,7 +282,7 @@ class Knock:
 def camera_motion(cube: xr.Dataset) -> CameraMotion:
     """Fit a constant and linear terms in x and y to the epipolar error eps_y of each step of a cube."""
     count, ny, nx = cube.eps_y.shape
-    every = slice(None, None, max(1, int(np.sqrt(ny * nx / MAX_NODES))))
+    every = slice(None, None, max(1, int(np.sqrt(ny * nx / MAX_SAMPLES))))
     x, y = np.meshgrid(*(np.linspace(-1, 1, n)[every] for n in (nx, ny)))
     design = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=-1)
     chunk = max(cube.eps_y.chunksizes.get("time", (64,))[0], 1)
@@ -367,7 +298,7 @@ def camera_motion(cube: xr.Dataset) -> CameraMotion:
 
 def _fit_linear(design: Array, values: Array) -> tuple[Array, Array] | None:
     """Fit the columns of ``design`` (n, 3) to ``values`` (n,), without outliers and missing values.
-    Returns the coefficients (3,) and their standard uncertainties (3,); None if too few values are left."""
+    Returns the coefficients and their standard uncertainties; None if too few values are left."""
     near = np.isfinite(values)
     if near.sum() >= MIN_NODES:
         departure = values - np.median(values[near])
@@ -381,9 +312,8 @@ def _fit_linear(design: Array, values: Array) -> tuple[Array, Array] | None:
 
 
 def find_jump(series: Array) -> int | None:
-    """Find the largest jump of a series (n, 3) of coefficients of eps_y, px.
-    Returns the index of the first value after the jump; None if no jump is larger than the scatter and
-    `MAX_EPS_Y`."""
+    """Return the index of the first value after the largest jump of a series (n, 3) of coefficients, px.
+    None if no jump is larger than the scatter and `MAX_EPS_Y`."""
     n = len(series)
     if n < 2 * MIN_STEPS_PER_SIDE:
         return None
@@ -413,8 +343,7 @@ def find_knock(found: CameraMotion) -> Knock | None:
 
 def vibration_rms(found: CameraMotion, knocked: Knock | None) -> tuple[float, float]:
     """Return the rms variation of eps_y over the field and the steps, and its standard uncertainty, px.
-    The means before and after the knock ``knocked`` are subtracted separately. The noise of the fits is
-    subtracted from the variance."""
+    Means before and after a knock are subtracted separately, and the noise of the fits from the variance."""
     cut = np.searchsorted(found.steps, knocked.frame) if knocked else 0
     halves = found.coefficients[:cut], found.coefficients[cut:]
     parts = [part - part.mean(axis=0) for part in halves if len(part)]

@@ -1,18 +1,17 @@
 """Find cameras that contradict the others, and the cause: mirrored, swapped, late, blurred, covered, moved.
 
 Square patches of the images are resampled on the plane of the water at rest. Every pair of cameras is
-compared by normalised correlation at a few frames, independently of the measurement. A point at height z
-appears displaced along the parallax of the pair. A displacement across the parallax, the epipolar error
-eps_y, does not come from water of any shape.
+compared by normalised correlation at a few frames. A point at height z appears displaced along the parallax
+of the pair. A displacement across it, the epipolar error eps_y, does not come from water of any shape.
 
-Two cameras agree if enough of their patches match with a smooth eps_y. A camera that agrees with no other
-is compared again with its images flipped, taken for those of another camera, or shifted in time. The change
-that makes it agree is the cause.
+Two cameras agree if enough of their patches match with a smooth eps_y. A camera that agrees with no other is
+compared again with its images flipped, exchanged or shifted in time, to find the cause.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations
 
 import cv2
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from wavefield.grid import Grid
 from wavefield.matching.patch_shifts import locate
-from wavefield.quality.remarks import GRAVE_EPS_Y, HALF, MAX_EPS_Y, MAX_LOST, SIGNIFICANCE
+from wavefield.quality.remarks import GRAVE_EPS_Y, MAX_EPS_Y, MAX_LOST, SIGNIFICANCE
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_at, pixel_size
 from wavefield.rig.stereo import parallax
@@ -38,7 +37,6 @@ REACH = 40  # px: largest displacement that is searched
 WHOLE = SIDE + 2 * REACH
 MAX_PATCHES = 60  # in the field; 15 already give no false remarks in sound records
 MIN_CORRELATION = 0.5  # a lower peak is not a match
-BACKGROUND_PX = 31  # px: width of the running mean that is subtracted as uneven light
 INCONSISTENT = ("mirrored", "swapped", "offset", "disagree")  # kinds of remark: no other camera agrees
 FLIPS: dict[str, tuple[slice, ...]] = {
     "mirrored": np.s_[:, ::-1],
@@ -54,8 +52,7 @@ MAX_BLUR_RATIO = 1.6  # width of beads over that in the other cameras, in px and
 
 @dataclass
 class PatchMatcher:
-    """Square patches of the cameras' images, resampled on the plane of the water at rest.
-    The patches of an image are made when they are first used, and then kept."""
+    """Square patches of the cameras' images, resampled on the plane of the water at rest."""
 
     read: Read  # Returns the image of a camera at a frame
     rig: Rig  # Calibrated cameras
@@ -64,12 +61,11 @@ class PatchMatcher:
     def __post_init__(self) -> None:
         self.pixel = float(pixel_size(self.rig, self.grid))
         self.x, self.y = self._places()
-        self._maps: dict[str, tuple[Image, Image]] = {}
-        self._patches: dict[tuple[str, int, str, str], Image | None] = {}
+        self.pixels_of_patches = cache(self._pixels_of_patches)
+        self.patches = cache(self.sampled)
 
     def _places(self) -> tuple[Array, Array]:
-        """Choose the patches: returns the coordinates x, y of their centres, each (n,), metres.
-        They are spread over the area that all cameras see."""
+        """Return the coordinates x, y of the centres of patches in the area that all cameras see, (n,), m."""
         pitch = SIDE * self.pixel
         limits = (self.grid.x, self.grid.y)
         x, y = (np.arange(low + pitch / 2, high - pitch / 2 + 1e-9, pitch) for low, high in limits)
@@ -82,70 +78,44 @@ class PatchMatcher:
         chosen = chosen[np.linspace(0, max(len(chosen) - 1, 0), min(MAX_PATCHES, len(chosen))).astype(int)]
         return X[chosen], Y[chosen]
 
-    def _map(self, name: str) -> tuple[Image, Image]:
-        if name not in self._maps:
-            offset = (np.arange(WHOLE) - (WHOLE - 1) / 2) * self.pixel
-            places = self.x[:, None, None] + offset, self.y[:, None, None] + offset[:, None]
-            parts = np.stack(self.rig[name].project(*places, 0.0))
-            column, row = parts.reshape(2, -1, WHOLE).astype(np.float32)
-            self._maps[name] = column, row
-        return self._maps[name]
+    def _pixels_of_patches(self, name: str) -> tuple[Image, Image]:
+        """Return the columns and rows of a camera's image at the pixels of all patches, (n WHOLE, WHOLE)."""
+        offset = (np.arange(WHOLE) - (WHOLE - 1) / 2) * self.pixel
+        places = self.x[:, None, None] + offset, self.y[:, None, None] + offset[:, None]
+        parts = np.stack(self.rig[name].project(*places, 0.0))
+        column, row = parts.reshape(2, -1, WHOLE).astype(np.float32)
+        return column, row
 
-    def patches(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
-        """Return the patches of the image of camera ``name`` at a frame, in grey levels.
-        The result (n, WHOLE, WHOLE) includes search margins and is cached; it is None without an image.
-        ``change`` names a flip of `FLIPS` that is applied to the image first. ``through`` names a camera
-        whose calibration is used instead of the camera's own."""
-        key = (name, frame, change, through)
-        if key not in self._patches:
-            self._patches[key] = self.sampled(*key)
-        return self._patches[key]
-
-    def sampled(self, name: str, frame: int, change: str = "", through: str = "") -> Image | None:
-        """Return the same as `patches`, but do not cache it."""
+    def sampled(self, name: str, frame: int, through: str, change: str = "") -> Image | None:
+        """Return the patches of the image of camera ``name`` at a frame, (n, WHOLE, WHOLE), in grey levels.
+        They include search margins. ``through`` is the camera whose calibration is used, and ``change`` names
+        a flip of the image. The method `patches` does the same, and keeps its results."""
         image = self.read(name, frame)
-        if image is not None and change:
-            image = np.asarray(image)[FLIPS[change]]
-        return _sampled(image, *self._map(through or name))
+        if image is None:
+            return None
+        flat = np.ascontiguousarray(image[FLIPS[change]] if change else image, np.float32)
+        # floating-point images often range from 0 to 1: scale them to 255, for which contrast limits are made
+        largest = float(np.abs(flat).max()) if image.dtype.kind == "f" else 0.0
+        if largest > 0:
+            flat = flat * np.float32(255.0 / largest)
+        places = self.pixels_of_patches(through)
+        sampled = cv2.remap(flat, *places, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan)
+        return np.asarray(sampled, np.float32).reshape(-1, WHOLE, WHOLE)
 
     def textured(self, name: str, frame: int) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the patches that show texture in one image.
-        Their contrast is more than a fifth of the median contrast of the image's patches."""
-        patches = self.patches(name, frame)
-        if patches is None:
-            return np.zeros(len(self.x), bool)
+        """Return a mask (n,) of the patches with more than a fifth of the image's median contrast."""
+        patches = self.patches(name, frame, name)
+        assert patches is not None  # only frames that all cameras have are compared
         contrast = np.nan_to_num(middle(patches).std(axis=(1, 2)).astype(float))
         some = contrast[contrast > 0.5]
         return np.asarray(contrast > 0.2 * (np.median(some) if some.size else np.inf))
 
-    def across(self, pair: Pair) -> tuple[Array, Array]:
-        """Return unit vectors along and across the parallax of two cameras, (n, 2) each, at the n patches."""
-        along = self._rise(pair)
-        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-        return along, np.stack([-along[:, 1], along[:, 0]], axis=-1)
-
-    def parallax(self, pair: Pair) -> Array:
-        """Return the parallax of two cameras at the n patches, (n,), m/m.
-        It is the displacement between their images on z = 0 per height of the water."""
-        return np.asarray(np.maximum(np.linalg.norm(self._rise(pair), axis=1), 1e-12))
-
-    def _rise(self, pair: Pair) -> Array:
-        return parallax(self.rig, pair, self.x, self.y).T
-
-
-def _sampled(image: NDArray[np.generic] | None, column: Image, row: Image) -> Image | None:
-    """Sample squares (n, WHOLE, WHOLE) of an image at pixel positions; NaN outside the image.
-    ``column`` and ``row`` (n WHOLE, WHOLE) are the positions. Floating-point images are scaled to a largest
-    value of 255. None if there is no image."""
-    if image is None:
-        return None
-    flat = np.ascontiguousarray(image, np.float32)
-    # floating-point images often range from 0 to 1: scale them to 255, for which contrast limits are made
-    largest = float(np.abs(flat).max()) if image.dtype.kind == "f" else 0.0
-    if largest > 0:
-        flat = flat * np.float32(255.0 / largest)
-    sampled = cv2.remap(flat, column, row, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan)
-    return np.asarray(sampled, np.float32).reshape(-1, WHOLE, WHOLE)
+    def parallax(self, pair: Pair) -> tuple[Array, Array]:
+        """Return the unit vectors (n, 2) and the lengths (n,), m/m, of the parallax of two cameras.
+        The parallax is the displacement between their images on z = 0 per height of the water."""
+        vectors = parallax(self.rig, pair, self.x, self.y).T
+        length = np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)
+        return vectors / length[:, None], length
 
 
 def middle(patches: Image) -> Image:
@@ -154,9 +124,8 @@ def middle(patches: Image) -> Image:
 
 
 def compare(first: Image | None, second: Image | None) -> Array | None:
-    """Find, for each patch of the first camera, its displacement in the second camera, (n, 2), px.
-    Both arguments are (n, WHOLE, WHOLE). The displacement is NaN without a match. Returns None if an image is
-    missing."""
+    """Return the displacement of each patch of the first camera in the second camera, (n, 2), px.
+    The arguments are (n, WHOLE, WHOLE), or None without an image. NaN without a match."""
     if first is None or second is None:
         return None
     moved = np.full((len(first), 2), np.nan)
@@ -185,16 +154,15 @@ class PairConsistency:
 def agreement(
     patch_matcher: PatchMatcher, pair: Pair, moved: Array | None, ground: NDArray[np.bool_] | None = None
 ) -> PairConsistency:
-    """Judge how well two cameras agree, from the displacements between their patches.
-    ``moved`` (n, 2) are these displacements, px, NaN without a match, or None if an image is missing.
+    """Judge how well two cameras agree, from the displacements ``moved`` of `compare`.
     ``ground`` (n,) is True for the patches to compare; by default all."""
     n = len(patch_matcher.x)
     ground = np.ones(n, bool) if ground is None else ground
     if moved is None or not ground.any():
         return PairConsistency(0.0, np.zeros(0), np.zeros(3), np.zeros(0, np.intp), np.zeros(0))
-    along, across = patch_matcher.across(pair)
-    eps_y = (moved * across).sum(axis=1)
-    height = (moved * along).sum(axis=1) * patch_matcher.pixel / patch_matcher.parallax(pair)
+    along, length = patch_matcher.parallax(pair)
+    eps_y = moved[:, 1] * along[:, 0] - moved[:, 0] * along[:, 1]
+    height = (moved * along).sum(axis=1) * patch_matcher.pixel / length
     good = ground & np.isfinite(eps_y)
     design = np.stack([np.ones(n), *(scaled(v) for v in (patch_matcher.x, patch_matcher.y))], axis=-1)
     smooth = np.array([np.median(eps_y[good]) if good.any() else 0.0, 0.0, 0.0])
@@ -209,13 +177,12 @@ def agreement(
 
 
 def scaled(v: Array) -> Array:
-    """Scale coordinates to the range -1 to 1: subtract their mean and divide by half their range."""
+    """Return coordinates minus their mean, divided by half of their range."""
     return np.asarray((v - v.mean()) / max(float(np.ptp(v)) / 2, 1e-12))
 
 
 def rms_over_field(smooth: Array) -> float:
-    """Return the rms over the field of a linear epipolar error, px.
-    ``smooth`` (3,) holds its coefficients, as in `PairConsistency`."""
+    """Return the rms over the field of a linear epipolar error with the coefficients ``smooth`` (3,), px."""
     return float(np.sqrt(smooth[0] ** 2 + (smooth[1] ** 2 + smooth[2] ** 2) / 3))
 
 
@@ -228,7 +195,7 @@ class ConsistencyTable:
         self.patch_matcher, self.names, self.frames = patch_matcher, names, frames
         self.pairs: list[Pair] = list(combinations(names, 2))
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(lambda name: patch_matcher.patches(name, frames[0]), names))  # fills the caches
+            list(pool.map(lambda name: patch_matcher.patches(name, frames[0], name), names))  # fill caches
             textured = pool.map(lambda k: {name: patch_matcher.textured(name, k) for name in names}, frames)
             self.grounds = dict(zip(frames, textured))
             found = list(pool.map(lambda k: [self.compare(pair, k) for pair in self.pairs], frames))
@@ -241,37 +208,18 @@ class ConsistencyTable:
     ) -> PairConsistency:
         """Compare the two cameras of a pair at a frame, if required after a change.
         ``images`` names two cameras whose images replace the pair's own images, while the calibrations remain
-        the pair's. ``change`` names a flip of the second image. ``later`` is the number of frames by which
-        the second image is taken later."""
-        patch_matcher, (a, b), (first, second) = self.patch_matcher, pair, images or pair
-        one = patch_matcher.patches(first, frame, "", a)
-        found = compare(one, patch_matcher.patches(second, frame + later, change, b))
+        the pair's. ``change`` names a flip of the second image, which is taken ``later`` frames later."""
+        (a, b), (first, second) = pair, images or pair
+        one = self.patch_matcher.patches(first, frame, a)
+        found = compare(one, self.patch_matcher.patches(second, frame + later, b, change))
         ground = self.grounds[frame][first] if first == a else None
         if not change and second == b and ground is not None:
             ground = ground & self.grounds[frame][second]
-        return agreement(patch_matcher, pair, found, ground)
-
-    def level(self) -> float:
-        """Return the fraction of matched patches from which on two cameras are said to agree.
-        It is half of the best pair's fraction, but at least `MIN_AGREEMENT`."""
-        return max(MIN_AGREEMENT, HALF * max(score(found) for found in self.found.values()))
-
-    def pair_numbers(self) -> dict[str, dict[str, list[float]]]:
-        """Return, for each pair of cameras, two lists with one value per frame.
-        ``agreement`` is the fraction of matched patches, and ``eps_y`` is the rms of the linear fit of eps_y,
-        px."""
-        return {
-            "-".join(pair): {
-                "agreement": [round(one.fraction, 3) for one in found],
-                "eps_y": [round(rms_over_field(one.smooth), 3) for one in found],
-            }
-            for pair, found in self.found.items()
-        }
+        return agreement(self.patch_matcher, pair, found, ground)
 
 
 def score(found: Sequence[PairConsistency]) -> float:
-    """Return the mean over the frames of the fraction of matched patches of a pair of cameras.
-    It is 0 if eps_y scatters so much that the matches are probably wrong."""
+    """Return the mean fraction of matched patches of a pair; 0 if eps_y scatters as wrong matches do."""
     scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= MIN_PATCHES]
     if not scatter or float(np.median(scatter)) >= MAX_SCATTER:
         return 0.0
@@ -279,13 +227,11 @@ def score(found: Sequence[PairConsistency]) -> float:
 
 
 def blur(image: NDArray[np.generic] | None) -> float:
-    """Return the standard deviation s of the finest details of an image (row, column), px.
-    NaN if there is no image or no detail. The autocorrelation of Gaussian beads at the lag d, px, is r(d) ~
-    exp(-d^2 / 4 s^2), so that s^2 = 3 / (4 ln(r(1) / r(2))). Noise affects only r(0)."""
-    if image is None:
-        return float("nan")
+    """Return the standard deviation s of the finest details of an image, px; NaN without details.
+    The autocorrelation of Gaussian beads is exp(-d^2 / 4 s^2) at the lag d: s^2 = 3 / (4 ln(r(1) / r(2)))."""
+    assert image is not None  # only frames that all cameras have are compared
     fine = np.asarray(image, np.float32)
-    fine = fine - cv2.blur(fine, (BACKGROUND_PX, BACKGROUND_PX))  # uneven light
+    fine = fine - cv2.blur(fine, (SIDE, SIDE))  # uneven light
     sizes = []
     for a in (fine, fine.T):
         one, two = float((a[1:] * a[:-1]).mean()), float((a[2:] * a[:-2]).mean())
@@ -307,10 +253,8 @@ class CameraFaults:
 def find_camera_faults(
     patch_matcher: PatchMatcher, count: int, frames: Sequence[int], threads: int = 1
 ) -> CameraFaults:
-    """Compare the cameras with each other at some frames, and report their faults.
-    ``count`` is the number of frames of the record, and ``frames`` are the indices of those to compare.
-    Frames that a camera lacks are skipped. The result has no remarks if fewer than two cameras, no complete
-    frame or too few patches are left."""
+    """Compare the cameras with each other at some frames of a record of ``count``, and report their faults.
+    Frames that a camera lacks are skipped. Nothing is reported for one camera or too small a common field."""
     names = list(patch_matcher.rig)
     complete = tuple(k for k in frames if all(patch_matcher.read(name, k) is not None for name in names))
     if len(patch_matcher.x) < MIN_PATCHES or not complete or len(names) < 2:
@@ -325,7 +269,14 @@ def find_camera_faults(
     ]
     remarks = [remark for remark in remarks if remark.subject not in inconsistent] + explained
     remarks += _knocked(table, inconsistent) or _uneven(table, inconsistent)
-    return CameraFaults(tuple(remarks), table.pair_numbers(), complete)
+    pairs = {
+        "-".join(pair): {
+            "agreement": [round(one.fraction, 3) for one in found],
+            "eps_y": [round(rms_over_field(one.smooth), 3) for one in found],
+        }
+        for pair, found in table.found.items()
+    }
+    return CameraFaults(tuple(remarks), pairs, complete)
 
 
 def _covered(table: ConsistencyTable) -> Iterator[Remark]:
@@ -340,7 +291,7 @@ def _covered(table: ConsistencyTable) -> Iterator[Remark]:
             yield Remark(
                 name,
                 "covered",
-                "grave" if fraction > HALF else "remark",
+                "grave" if fraction > 0.5 else "remark",
                 f"its images have no texture in {100 * fraction:.0f} % of the field that the others see",
                 "That part is measured by the other cameras, or not at all",
                 "Remove objects in front of it and check the light; draw fixed objects as a `mask:`",
@@ -373,11 +324,11 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
 
 
 def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[Remark]]:
-    """Find the cameras that agree with no other camera, and the causes.
-    Returns the names of these cameras, and remarks on them. If no pair agrees at all, there is only one
-    remark. ``count`` is the number of frames of the record."""
-    level = table.level()
-    good = [pair for pair, found in table.found.items() if score(found) >= level]
+    """Return the names of the cameras that agree with no other camera, and remarks on the causes.
+    If no pair agrees at all, there is only one remark."""
+    scores = {pair: score(found) for pair, found in table.found.items()}
+    level = max(MIN_AGREEMENT, 0.5 * max(scores.values()))  # above, two cameras agree
+    good = [pair for pair, value in scores.items() if value >= level]
     # views of two distant cameras may differ too much to match, while each agrees with a third camera
     inconsistent = {name for name in table.names if not any(name in pair for pair in good)}
     consistent = [name for name in table.names if name not in inconsistent]
@@ -391,17 +342,12 @@ def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[R
 
 
 def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
-    """Return the remark that a camera, or every camera if no name is given, matches no other.
-    It is used if no cause is known."""
-    pairs = {pair: found for pair, found in table.found.items() if not name or name in pair}
-    best = max(map(score, pairs.values()))
-    matched = max(float(np.mean([one.fraction for one in found])) for found in pairs.values())
+    """Return the remark that a camera, or every camera if no name is given, matches no other."""
+    best = max(score(found) for pair, found in table.found.items() if not name or name in pair)
     sentence = (
-        f"at best {100 * matched:.0f} % of the patches of two cameras match (sound records: more than "
-        f"{100 * MIN_AGREEMENT:.0f} %)"
+        f"at best {100 * best:.0f} % of the patches of two cameras match with a smooth epipolar error (sound "
+        f"records: more than {100 * MIN_AGREEMENT:.0f} %)"
     )
-    if matched > best:  # the matches scatter too much
-        sentence += f", and their epipolar error scatters by {MAX_SCATTER:g} px or more"
     return Remark(
         name or "cameras",
         "disagree",
@@ -414,11 +360,27 @@ def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
     )
 
 
+# By kind of remark: the finding and the remedy if a camera agrees with the others after a change
+_CAMERA_FAULTS = {
+    "mirrored": (
+        "its images are {}",
+        "Correct its images, or calibrate it with target images of the same orientation",
+    ),
+    "swapped": (
+        "its images match the others only as images of {}",
+        "Correct its `images` in the experiment file",
+    ),
+    "offset": (
+        "its frame numbers differ from those of the others by {}",
+        "Subtract this from its `offset` in the experiment file",
+    ),
+}
+
+
 def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
     """Find by trial why the camera ``name`` does not agree with its partners, and return a remark on it.
-    At two frames its images are flipped, exchanged for those of another camera, or taken earlier or later.
-    ``level`` is the fraction of matched patches that a change must reach; ``count`` is the number of frames
-    of the record."""
+    At two frames its images are flipped, exchanged for those of another camera, or taken earlier or later,
+    until a fraction ``level`` of the patches matches."""
     frames = table.frames[:2]
     tried: dict[tuple[str, str, str], list[PairConsistency]] = {}  # by kind, detail and partner
     for partner in partners:
@@ -426,55 +388,23 @@ def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level:
         for change in FLIPS:
             tried["mirrored", change, partner] = [table.compare(pair, k, change=change) for k in frames]
         for later in (-2, -1, 1, 2):
-            key = "late" if later > 0 else "early", str(abs(later)), partner
-            tried[key] = [table.compare(pair, k, later=later) for k in frames if 0 <= k + later < count]
+            found = [table.compare(pair, k, later=later) for k in frames if 0 <= k + later < count]
+            tried["offset", f"{later:+d}", partner] = found
         for other in (n for n in table.names if n not in pair):
             tried["swapped", other, partner] = [table.compare((partner, other), k, pair) for k in frames]
     scores = {key: score(found) for key, found in tried.items()}
-    (change, detail, _), best = max(scores.items(), key=lambda one: one[1])
+    (kind, detail, _), best = max(scores.items(), key=lambda one: one[1])
     now = max(score(table.found[pair]) for pair in table.pairs if name in pair)
     if best < max(MIN_AGREEMENT, level, 2 * now):
         return _disagree(table, name)
-    return _explained(name, change, detail, {"agreement": best, "as it is": now})
-
-
-# Kind, finding and remedy by the change after which a camera agrees with the others
-_CAMERA_FAULTS = {
-    "mirrored": (
-        "mirrored",
-        "its images are {}",
-        "Correct its images, or calibrate it with target images of the same orientation",
-    ),
-    "swapped": (
-        "swapped",
-        "its images match the others only as images of {}",
-        "Correct its `images` in the experiment file",
-    ),
-    "late": (
-        "offset",
-        "its frames match only frames of the others that are {} earlier",
-        "Subtract {} from its `offset` in the experiment file",
-    ),
-    "early": (
-        "offset",
-        "its frames match only frames of the others that are {} later",
-        "Add {} to its `offset` in the experiment file",
-    ),
-}
-
-
-def _explained(name: str, change: str, detail: str, values: Mapping[str, float]) -> Remark:
-    """Return the remark on a camera that agrees with the others after a change.
-    ``change`` is a key of `_CAMERA_FAULTS`. ``detail`` is the flip, the other camera or the number of
-    frames."""
-    kind, found, remedy = (part.format(detail) for part in _CAMERA_FAULTS[change])
-    return Remark(name, kind, "grave", found, "All results from this camera are wrong", remedy, values)
+    sentence, remedy = _CAMERA_FAULTS[kind]
+    means, values = "All results from this camera are wrong", {"agreement": best, "as it is": now}
+    return Remark(name, kind, "grave", sentence.format(detail), means, remedy, values)
 
 
 def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
-    """Report pairs of cameras whose sight lines miss each other by a smooth eps_y, in one remark.
-    The remark is on the camera that moved if a single camera explains all of these pairs, else on the rig.
-    The list is empty if there are no such pairs."""
+    """Report pairs of cameras whose sight lines miss each other by a smooth eps_y, in at most one remark.
+    It is on the camera that moved if a single camera explains all of these pairs, else on the rig."""
     smooth = {
         pair: np.median([one.smooth for one in found if one.fraction > 0], axis=0)
         for pair, found in table.found.items()
@@ -502,7 +432,7 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
 
 
 def _moved(subject: str, error: float, sentence: str, values: Mapping[str, float]) -> Remark:
-    """Return the remark that a camera, or the rig, has moved; ``error`` is its effect in px on the water."""
+    """Return the remark that a camera, or the rig, has moved, with an ``error`` in px on the water."""
     return Remark(
         subject,
         "moved",
@@ -516,9 +446,8 @@ def _moved(subject: str, error: float, sentence: str, values: Mapping[str, float
 
 
 def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
-    """Report two pairs of cameras that see the same water at different heights, in one remark.
-    A camera has then moved along the parallax. The heights do not show which camera: two pairs give one
-    difference, which any of them could explain. The list is empty if there are no such pairs."""
+    """Report two pairs of cameras that see the same water at different heights, in at most one remark.
+    A camera has then moved along the parallax; the one difference does not show which."""
     worst, sure = 0.0, 0.0
     which: tuple[Pair, ...] = ()
     for first, second in combinations(table.pairs, 2):
@@ -540,18 +469,15 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
 
 
 def _height_difference(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
-    """Return the height that the first pair sees minus the height that the second pair sees.
-    The result holds one value for each patch that both pairs match at the kth sampled frame, in px of
-    parallax."""
+    """Return the difference of heights in px of parallax, at patches that both pairs match at one frame."""
     a, b = table.found[first][k], table.found[second][k]
     both, ia, ib = np.intersect1d(a.places, b.places, return_indices=True)
-    parallax = np.minimum(table.patch_matcher.parallax(first), table.patch_matcher.parallax(second))[both]
-    return np.asarray((a.height[ia] - b.height[ib]) * parallax / table.patch_matcher.pixel)
+    length = np.minimum(*(table.patch_matcher.parallax(pair)[1] for pair in (first, second)))[both]
+    return np.asarray((a.height[ia] - b.height[ib]) * length / table.patch_matcher.pixel)
 
 
 def _significance(found: Sequence[PairConsistency]) -> float:
-    """Return the rms of the linear fit of eps_y over its standard uncertainty.
-    It is that of the frame with the most matches, or 0 if this has too few."""
+    """Return the rms of the linear fit of eps_y over its standard uncertainty, at the best frame."""
     one = max(found, key=lambda each: each.fraction)
     if len(one.eps_y) < MIN_PATCHES:
         return 0.0

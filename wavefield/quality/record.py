@@ -1,4 +1,4 @@
-"""Find faults of a record: missing or bad frames, clocks that contradict each other, lost or doubled frames.
+"""Find faults of a record: missing or bad frames, wrong frame rates, lost or doubled frames.
 
 A step is the interval between two consecutive frames; a step of the cube holds z, u, v, w at its middle. Two
 tests use the kinematic boundary condition dz/dt + u . grad z = w:
@@ -8,9 +8,7 @@ tests use the kinematic boundary condition dz/dt + u . grad z = w:
 - Between steps, dz/dt is the central difference of the steps before and after. The ratio of w to
   dz/dt + u . grad z is the same at all steps if the frame times are even. It jumps where a frame was lost,
   doubled or late in all cameras: a step over a lost frame has 4/3 of the usual ratio and its neighbours 4/5;
-  a step onto a doubled frame has 0 and its neighbours 4/3.
-
-The standard uncertainties are computed from other data, so both tests are independent of them.
+  a step onto a doubled frame has 0 and its neighbours 4/3. Random jitter of the frame times is not found.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,15 +18,15 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import special  # scipy.stats takes half a second to import
 
-from wavefield.quality.remarks import CELLS, HALF, MAX_LOST, MIN_NODES, SIGNIFICANCE
+from wavefield.measurement.outliers import MIN_NODES
+from wavefield.quality.remarks import CELLS, MAX_LOST, SIGNIFICANCE
 from wavefield.robust import PER_MEDIAN
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.clocks import is_alike, stated_by_recordings
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
-from wavefield.variables import FrameFault, FrameStatus, Quality
+from wavefield.variables import AROUND, FrameFault, FrameStatus, Quality
 
 Array = NDArray[np.floating]
 Mask = NDArray[np.bool_]
@@ -48,17 +46,12 @@ FAULTS = {
 }
 CHANGING_NOISE = 0.25  # fraction of z_std^2 that is new in each frame; the rest moves with the beads
 COMPARED = ["z", "z_t", "u", "v", "w", "z_std", "u_std", "v_std", "w_std"]
-PATH_REACH = 2  # steps on either side that share frames with a step (it uses up to six frames)
 PATCHES = 8  # along the shorter side of the field
 # A wave whose phase advances by p per frame interval has the ratio p / sin p. Above 1.2 (p is a sixth of a
 # period) the ratios of sound simulated seas scatter as much as a lost frame changes them: nothing is judged.
 MAX_RATIO = 1.2
-DISCONTINUITY = 0.3  # log of a step's ratio minus the mean log of its neighbours; a lost frame gives 0.5
+DISCONTINUITY = 0.3  # difference of a ratio from the mean of its neighbours; a lost frame gives 0.5
 MAX_MISFIT = 1.6  # rms of the residual in standard uncertainties; sound seas have 0.1 to 1.2
-MIN_RATIO = 0.05  # smaller ratios are raised to this before the logarithm; a doubled frame has 0
-JITTER_VARIANCE = 4.375  # variance of the difference of consecutive ratios per variance of the frame times
-VARYING_TURN = 0.5  # variance of ratios by changes of the waves in view, in (ratio - 1)^2; simulated seas
-CHANCE = 1e-3  # probability that noise alone gives the smallest jitter that is reported
 
 
 @dataclass(frozen=True)
@@ -70,9 +63,7 @@ class FrameInspection:
 
 
 def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
-    """Choose the frames of a record that `inspect_frames` reads; returns their indices.
-    These are all frames of a short record. Of a longer one they are the first, the last and the frames of
-    `SAMPLED_STEPS` random steps."""
+    """Return the frames to inspect: all of a short record, else the first, the last and some random steps."""
     complete = complete_steps(series)
     if len(complete) < 2 * SAMPLED_STEPS:
         return tuple(range(len(complete) + 1))
@@ -82,9 +73,7 @@ def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
 
 
 def inspect_frames(series: FrameSeries, indices: Iterable[int]) -> FrameInspection:
-    """Read some frames of a camera, and find those that are bad or equal the frame before.
-    ``indices`` are the frames to read; missing frames are skipped. A frame can be compared only if the frame
-    before it was also read."""
+    """Read the frames ``indices`` of a camera, and find those that are bad or equal the frame before them."""
     faults: dict[int, tuple[FrameFault, str]] = {}
     read: list[int] = []
     last: Any = None
@@ -103,7 +92,7 @@ def inspect_frames(series: FrameSeries, indices: Iterable[int]) -> FrameInspecti
 
 
 def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
-    """Return a mask (n,) of the steps: true if both frames of the step have a file in every camera."""
+    """Return a mask (n,) of the steps, true if both frames of the step have a file in every camera."""
     present = np.all([[entry is not None for entry in one.entries] for one in series.values()], axis=0)
     return np.asarray(present[:-1] & present[1:])
 
@@ -111,8 +100,7 @@ def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
 def remark_on_frames(
     series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection]
 ) -> Iterator[Remark]:
-    """Report cameras with many bad or repeated frames, or with any frame of another size.
-    ``inspections`` holds the result of `inspect_frames` by camera."""
+    """Report cameras with many bad or repeated frames, or with any frame of another size."""
     for name, found in inspections.items():
         for fault, (words, remedy) in FAULTS.items():
             bad = [index for index, (other, _) in found.faults.items() if other == fault]
@@ -125,7 +113,7 @@ def remark_on_frames(
             yield Remark(
                 name,
                 "bad frames",
-                "grave" if len(bad) > HALF * count else "remark",
+                "grave" if len(bad) > 0.5 * count else "remark",
                 f"{len(bad)} of {count} frames read {words}: frames {numbers} ({found.faults[bad[0]][1]})",
                 "Their steps are measured without this camera, or not at all",
                 remedy,
@@ -134,26 +122,24 @@ def remark_on_frames(
 
 
 def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Report faults of the recordings that show without reading all frames.
-    These are missing frames, dropped images, and frame rates that contradict the experiment file."""
+    """Report missing frames, uneven times, and frame rates that contradict the experiment file."""
     measuring = {name: series[name] for name in experiment.measuring_cameras if name in series}
     yield from _missing(measuring)
     yield from _rates(experiment, series)
     for one in series.values():
-        yield from _gaps(one)
+        yield from _uneven(one)
 
 
 def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Report cameras with many missing frames, and a record with few complete steps.
-    A step is complete if every camera has both of its frames."""
-    for name, one in series.items():  # for recordings with a clock, `_gaps` reports dropped images
+    """Report cameras with many missing frames, and a record in which few steps have all frames."""
+    for name, one in series.items():
         missing = one.missing
-        if one.times is not None or len(missing) <= MAX_LOST * len(one):
+        if len(missing) <= MAX_LOST * len(one):
             continue
         yield Remark(
             name,
             "missing frames",
-            "grave" if len(missing) > HALF * len(one) else "remark",
+            "grave" if len(missing) > 0.5 * len(one) else "remark",
             f"{len(missing)} of {len(one)} frames are missing: {spell_ranges(missing.tolist(), 3)}",
             "Their steps are measured without this camera, or not at all",
             "Copy them, or give the range of frames that is complete (`frames`)",
@@ -163,7 +149,7 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
         return
     complete = complete_steps(series)
     fraction = float(complete.mean())
-    if fraction < HALF:
+    if fraction < 0.5:
         yield Remark(
             "record",
             "missing frames",
@@ -176,8 +162,8 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
 
 
 def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Report recordings whose frame rate contradicts the experiment file.
-    A note is given if the stated frame rate is only the playback rate of a video."""
+    """Report recordings of another frame rate than the experiment file states.
+    A note is given if the stated rate is only the playback rate of a video."""
     file, rate = experiment.path.name, experiment.frame_rate
     named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
     stated = stated_by_recordings(named, experiment.image_folder)
@@ -209,8 +195,8 @@ def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterato
         )
 
 
-def _gaps(series: FrameSeries) -> Iterator[Remark]:
-    """Report images that a camera dropped, and uneven intervals, both by the camera's time stamps."""
+def _uneven(series: FrameSeries) -> Iterator[Remark]:
+    """Report uneven intervals between a camera's images, by its time stamps."""
     if series.times is None:
         return
     there = np.flatnonzero(np.isfinite(series.times))
@@ -219,20 +205,6 @@ def _gaps(series: FrameSeries) -> Iterator[Remark]:
         return
     usual = float(np.median(intervals / places))
     uneven = np.abs(intervals - places * usual) > 0.5 * usual
-    dropped = int((places - 1).sum())
-    if dropped:
-        first = int(there[np.argmax(places > 1)])
-        many = "1 image was" if dropped == 1 else f"{dropped} images were"
-        yield Remark(
-            series.camera,
-            "missing frames",
-            "remark",
-            f"{many} dropped, by its clock, the first after frame {series.first + first} "
-            f"({series.times[first] - series.times[there[0]]:.3f} s into the record)",
-            "These frames count as missing, and no step is measured across them",
-            "Record to the camera's memory, to a faster disk or at a lower rate",
-            {"dropped": dropped, "first": series.first + first},
-        )
     if uneven.any():
         numbers = series.first + there[:-1][uneven]
         yield Remark(
@@ -248,16 +220,9 @@ def _gaps(series: FrameSeries) -> Iterator[Remark]:
 
 
 def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, rate: float) -> Array:
-    """Return the misfit of the kinematic boundary condition at each step, in standard uncertainties.
-
-    The residual is z_t - w + u z_x + v z_y, and the result (n,) is its robust rms over the nodes, after
-    division by its standard uncertainty. It is about 1 if the stated uncertainties are right, and NaN with
-    few measured nodes.
-
-    ``fields`` holds z, z_t, u, v, w and z_std, u_std, v_std, w_std, each (n, ny, nx), in metres and m/s.
-    ``measured`` is the mask of measured nodes, ``step`` the node spacing in metres, and ``rate`` the frame
-    rate in Hz.
-    """
+    """Return the robust rms of z_t - w + u z_x + v z_y over its standard uncertainty at each step, (n,).
+    ``fields`` holds the variables `COMPARED`, each (n, ny, nx), ``step`` is the node spacing, m, and ``rate``
+    the frame rate, Hz. The result is NaN with few measured nodes."""
     z = np.asarray(fields["z"], np.float64)
     z_y, z_x = (np.gradient(z, step, axis=axis) for axis in (1, 2))
     residual = fields["z_t"] - fields["w"] + fields["u"] * z_x + fields["v"] * z_y
@@ -275,61 +240,10 @@ def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, r
     )
 
 
-@dataclass(frozen=True)
-class RiseRatios:
-    """Ratio of w to dz/dt + u . grad z at each step, where dz/dt comes from the steps before and after.
-    The ratio changes suddenly where a frame was lost, doubled or late."""
-
-    ratio: Array  # (n,): One per step; NaN where unknown
-    variance: Array  # (n,): Variance of the ratio, from independent parts of the field
-
-    def without(self, steps: NDArray[np.intp]) -> "RiseRatios":
-        """Return a copy in which the ratios of the steps with the indices ``steps`` are NaN."""
-        ratio = self.ratio.copy()
-        ratio[steps] = np.nan
-        return RiseRatios(ratio, self.variance)
-
-    def discontinuous(self) -> NDArray[np.intp]:
-        """Return the indices of the steps at which the ratio jumps.
-        The ratio there differs significantly from the mean of the two neighbouring steps, and by more than at
-        any step up to `PATH_REACH` away."""
-        log = np.log(np.maximum(self.ratio, MIN_RATIO))
-        relative = self.variance / np.square(np.maximum(self.ratio, MIN_RATIO))
-        jump, std = np.full((2, log.size), np.nan)
-        jump[1:-1] = log[1:-1] - 0.5 * (log[:-2] + log[2:])
-        std[1:-1] = np.sqrt(relative[1:-1] + 0.25 * (relative[:-2] + relative[2:]))
-        size = np.nan_to_num(np.abs(jump))
-        found = size > np.maximum(DISCONTINUITY, SIGNIFICANCE * np.nan_to_num(std))
-        around = np.pad(size, PATH_REACH)
-        largest = np.lib.stride_tricks.sliding_window_view(around, 2 * PATH_REACH + 1).max(axis=1)
-        return np.flatnonzero(found & (size == largest))
-
-    def jitter(self) -> float:
-        """Return the standard deviation of the frame times, in frame intervals; 0 if it is not significant.
-        It comes from differences of consecutive ratios. Ratios also depend on the frequency of the waves in
-        view, but that changes slowly."""
-        known = np.isfinite(self.ratio)
-        both = known[1:] & known[:-1]
-        if both.sum() < 3:
-            return 0.0
-        median = float(np.median(self.ratio[known]))
-        change = np.diff(self.ratio)[both] / median
-        # median, because jitter changes all steps, but waves that arrive change only some
-        found = PER_MEDIAN**2 * float(np.median(np.square(change)))
-        noise = 2.0 * float(np.median(self.variance[known])) / median**2
-        # F test. Degrees of freedom: two thirds of the differences are independent, a median has the scatter
-        # of a mean over a third of the values, and the variance comes from all parts of the field
-        freedom = change.size * 2.0 / 9.0, change.size * (CELLS**2 - 1)
-        by_chance = noise * float(special.fdtri(*freedom, 1.0 - CHANCE))
-        if found <= max(by_chance, VARYING_TURN * (median - 1.0) ** 2):
-            return 0.0
-        return float(np.sqrt((found - noise) / JITTER_VARIANCE))
-
-
-def rise_ratios(cube: xr.Dataset) -> RiseRatios:
+def rise_ratios(cube: xr.Dataset) -> tuple[Array, Array]:
     """Compute at every step k of a cube the ratio of w to (z(k+1) - z(k-1)) / 2 dt + u . grad z.
-    The ratio is the slope of a regression over the field. All ratios are NaN if their median is not between 0
-    and `MAX_RATIO`, because the waves are then too fast for the test."""
+    Returns the ratios (n,), slopes of regressions over the field, and their variances. All ratios are NaN if
+    their median is not between 0 and `MAX_RATIO`, because the waves are then too fast for the test."""
     steps, rate = cube.sizes["time"], float(cube.attrs["frame_rate"])
     spacing = float(cube.x[1] - cube.x[0])
     ratio, variance = np.full((2, steps), np.nan)
@@ -348,14 +262,27 @@ def rise_ratios(cube: xr.Dataset) -> RiseRatios:
     known = ratio[np.isfinite(ratio)]
     if known.size and not 0.0 < np.median(known) < MAX_RATIO:
         ratio[:] = np.nan
-    return RiseRatios(ratio, variance)
+    return ratio, variance
+
+
+def discontinuous_steps(ratio: Array, variance: Array) -> NDArray[np.intp]:
+    """Return the indices of the steps at which the ratios (n,) of `rise_ratios` jump.
+    The ratio there differs significantly from the mean of the two neighbouring steps, and by more than at any
+    step that uses the same frames."""
+    usual = np.nanmedian(ratio) if np.isfinite(ratio).any() else np.nan
+    jump, std = np.full((2, ratio.size), np.nan)
+    jump[1:-1] = ratio[1:-1] - 0.5 * (ratio[:-2] + ratio[2:])
+    std[1:-1] = np.sqrt(variance[1:-1] + 0.25 * (variance[:-2] + variance[2:]))
+    size, std = np.nan_to_num(np.abs(jump) / usual), np.nan_to_num(std / usual)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(size, AROUND), 2 * AROUND + 1)
+    found = (size > np.maximum(DISCONTINUITY, SIGNIFICANCE * std)) & (size == around.max(axis=1))
+    return np.flatnonzero(found)
 
 
 def _slope(values: Array, on: Array, usable: Mask) -> tuple[float, float]:
-    """Regress the field ``values`` on the field ``on``, both (ny, nx), over the ``usable`` nodes.
-    Returns the slope and its variance, which comes from the scatter between parts of the field; NaN if there
-    are too few parts. The fields are averaged over patches first, which keeps the longer waves: their phase
-    changes less from step to step."""
+    """Return the slope of a regression of the field ``values`` on the field ``on``, and its variance.
+    The variance comes from the scatter between parts of the field; both are NaN if there are too few."""
+    # averages over patches keep the longer waves, whose phase changes less from step to step
     count = _patches(usable.astype(float))
     full = count > 0.5 * count.max()
     values, on = (_patches(np.where(usable, one, 0.0)) / np.maximum(count, 1.0) for one in (values, on))
@@ -380,18 +307,15 @@ def _patches(values: Array) -> Array:
 
 
 def steps_to_leave_out(discontinuous: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
-    """Return the indices of the steps that use frames from both sides of a discontinuity.
-    ``discontinuous`` holds the steps with a discontinuity, and ``steps`` is the number of steps of the
-    record. The result is empty if there are several discontinuities and more than half of the record would be
-    left out."""
+    """Return the steps of a record of ``steps`` that use frames from both sides of a discontinuity.
+    The result is empty if several discontinuities would cost more than half of the record."""
     apart = np.abs(np.subtract.outer(np.arange(steps), discontinuous))
-    out = np.flatnonzero(apart.min(axis=1, initial=steps) <= PATH_REACH)
-    return out if discontinuous.size == 1 or out.size <= HALF * steps else out[:0]
+    out = np.flatnonzero(apart.min(axis=1, initial=steps) <= AROUND)
+    return out if discontinuous.size == 1 or out.size <= 0.5 * steps else out[:0]
 
 
 def remark_on_kinematics(sample: xr.Dataset) -> Iterator[Remark]:
-    """Report that elevation and velocity violate the kinematic boundary condition.
-    The remark is made if the median misfit of the steps in ``sample`` exceeds `MAX_MISFIT`."""
+    """Report that elevation and velocity of the steps in ``sample`` violate the kinematic condition."""
     measured = sample.quality.values & int(Quality.MEASURED) != 0
     fields, rate = {name: sample[name].values for name in COMPARED}, float(sample.attrs["frame_rate"])
     misfits = kinematic_misfit(fields, measured, float(sample.x[1] - sample.x[0]), rate)
@@ -422,27 +346,4 @@ def remark_on_cleared_steps(cube: xr.Dataset) -> Iterator[Remark]:
             "A frame was lost, doubled or late in all cameras; these steps are NaN",
             "Check the numbering of these frames, or give the cameras' time stamps (`times`)",
             {"steps": int(steps.size)},
-        )
-
-
-def remark_on_jitter(ratios: RiseRatios, sample: xr.Dataset) -> Iterator[Remark]:
-    """Report jitter of the frame times if it adds larger errors to the velocities than their uncertainty.
-    ``sample`` holds the velocities and their uncertainties."""
-    jitter, rate = ratios.jitter(), float(sample.attrs["frame_rate"])
-    measured = sample.quality.values & int(Quality.MEASURED) != 0
-    if not jitter or not measured.any():
-        return
-    sizes = [float(np.sqrt(np.mean(np.square(sample[name].values[measured])))) for name in "uvw"]
-    stds = [float(np.median(sample[f"{name}_std"].values[measured])) for name in "uvw"]
-    # the interval of a step has the errors of both frame times
-    over = np.sqrt(2.0) * jitter * max(size / std for size, std in zip(sizes, stds))
-    if over > 1.0:
-        yield Remark(
-            "record",
-            "frame times",
-            "remark",
-            f"the frame times jitter by about {1e3 * jitter / rate:.2g} ms rms",
-            f"This adds errors of {over:.1f} standard uncertainties to the velocities",
-            "Give the cameras' time stamps (`times`), or trigger the cameras by a steadier clock",
-            {"jitter_ms": 1e3 * jitter / rate, "over_std": float(over)},
         )

@@ -1,9 +1,8 @@
 """Limits and explanations of all remarks, and the remarks on water level, grid, fields and probes.
 
 A remark is one finding about a measurement. It has a kind, which `explanations.yaml` explains, and three
-parts: what was found, what it means for the result, what to do. The remarks on cameras are in `cameras` and
-`camera_motion`, those on frames and times in `record`. A step is the interval between two consecutive frames;
-a node is a point of the grid.
+parts: what was found, what it means for the result, what to do. A step is the interval between two
+consecutive frames; a node is a point of the grid.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,32 +32,16 @@ EXPLANATIONS: dict[str, str] = yaml.safe_load(
 
 SIGNIFICANCE = 4.0  # standard uncertainties: Gaussian noise exceeds them once in 16,000 times
 CELLS = 3  # the field is divided into CELLS x CELLS parts, whose errors are taken as independent
-MAX_NODES = 2000  # nodes of each step that are read; enough for means over the field
-MIN_NODES = 50  # a step with fewer measured nodes is not judged
+MAX_SAMPLES = 2000  # nodes of each step, and steps, that are read; enough for means over the field
 MAX_EPS_Y = 0.1  # px: largest epipolar error after a good calibration; more gives a remark
 GRAVE_EPS_Y = 0.5  # px: about ten standard uncertainties of z in a sound record
 MAX_LOST = 0.1  # fraction of frames, patches, nodes or variance; a larger loss gives a remark
-HALF = 0.5  # fraction of frames, patches or nodes; with less, a camera or the grid is of little use
-MIN_COVERAGE = 0.05  # fraction of the grid in common view; a smaller one is refused before a run
 MAX_EPS_PIV = 0.15  # px: median of |eps'|; sound records have less than 0.1
-MAX_PROBE_STEPS = 1500  # compared with probes, in the middle of a long record
-
-
-def first_sentence(text: str) -> str:
-    """Return the first sentence of an explanation.
-
-    Examples
-    --------
-    >>> first_sentence("It is blurred. Focus it.")
-    'It is blurred.'
-    """
-    return text.partition(". ")[0].rstrip(".") + "."
 
 
 def remark_on_coverage(seen: float) -> Iterator[Remark]:
-    """Report a grid of which less than half is in view of every camera.
-    ``seen`` is the fraction of the grid that is in view of every camera."""
-    if seen < HALF:
+    """Report that the fraction ``seen`` of the grid in view of every camera is less than half."""
+    if seen < 0.5:
         yield Remark(
             "grid",
             "coverage",
@@ -71,8 +54,8 @@ def remark_on_coverage(seen: float) -> Iterator[Remark]:
 
 
 def remark_on_holes(measured: float) -> Iterator[Remark]:
-    """Report that fewer than half of the nodes in view were measured; ``measured`` is their fraction."""
-    if measured < HALF:
+    """Report that the fraction ``measured`` of the nodes in view is less than half."""
+    if measured < 0.5:
         yield Remark(
             "surface",
             "holes",
@@ -85,9 +68,7 @@ def remark_on_holes(measured: float) -> Iterator[Remark]:
 
 
 def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) -> Iterator[Remark]:
-    """Report that the cameras contradict each other about the motion of the water.
-    ``eps_piv`` is eps', the residual of the cameras' displacements after the fit of u, v, w, in px. Nodes at
-    which z or ``eps_piv`` is NaN do not count."""
+    """Report a large residual ``eps_piv`` of the cameras' displacements after the fit of u, v, w, px."""
     valid = np.isfinite(z) & np.isfinite(eps_piv)
     misfit = float(np.median(np.abs(eps_piv[valid]))) if valid.any() else 0.0
     if misfit > MAX_EPS_PIV:
@@ -106,9 +87,8 @@ def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) ->
 def remark_on_unresolved_waves(
     fraction: float, wavelength: float, reason: str, remedy: str
 ) -> Iterator[Remark]:
-    """Report that waves too short to be resolved have a large part of the variance of w.
-    `fraction` is that part, and `wavelength` the longest of these waves, m. `reason` and `remedy` are the
-    sentences of the remark that say what this means and what to do."""
+    """Report that waves of `wavelength` (m) and less, which are not resolved, have much of the variance of w.
+    `fraction` is their part of it; `reason` and `remedy` are sentences of the remark."""
     if fraction > MAX_LOST:
         yield Remark(
             "surface",
@@ -149,8 +129,7 @@ def remark_on_steps(status: Status) -> Iterator[Remark]:
 
 def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[str]) -> Iterator[Remark]:
     """Report each camera that was left out at more than a tenth of the nodes.
-    ``quality`` is the variable of the cube, with bits of `Quality`; ``cameras`` are the names of the cameras
-    in the order of these bits."""
+    ``cameras`` are the names of the cameras in the order of their bits in ``quality``."""
     has_value = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
     for number, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
@@ -168,61 +147,48 @@ def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[st
 
 
 def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("nan")) -> Remark:
-    """Report what defines z = 0: the water at rest, the mean surface, the target or a light sheet.
-    ``level_std`` is the standard uncertainty of this level, metres; NaN if unknown."""
-
-    def note(found: str, means: str, remedy: str = "", weight: Weight = "note", **values: float) -> Remark:
-        return Remark("rig", "water level", weight, found, means, remedy, values)
-
+    """Report what defines z = 0; ``level_std`` is the standard uncertainty of this level, m, or NaN."""
     if experiment.settings.get("sheet_thickness") is not None:
         return _remark_on_sheet(experiment, rig)
-    found = rig.provenance.get("levelled")
+    weight: Weight = "note"
+    remedy, values, found = "", {}, rig.provenance.get("levelled")
     if isinstance(found, dict) and {"height_m", "rms_m", "points"} <= set(found):
-        height, rms = float(found["height_m"]), float(found["rms_m"])
-        return note(
-            f"the water at rest was {1e3 * height:+.2f} mm from the target's plane "
-            f"({found['points']} points, {1e3 * rms:.2f} mm rms about their own plane)",
-            "z = 0 is the water at rest",
-            height_m=height,
-            rms_m=rms,
+        values = {"height_m": float(found["height_m"]), "rms_m": float(found["rms_m"])}
+        sentence = (
+            f"the water at rest was {1e3 * values['height_m']:+.2f} mm from the target's plane "
+            f"({found['points']} points, {1e3 * values['rms_m']:.2f} mm rms about their own plane)"
         )
-    if isinstance(found, dict) and "camera_height_m" in found:
+        means = "z = 0 is the water at rest"
+    elif isinstance(found, dict) and "camera_height_m" in found:
         tilt, height_std = found["tilt_std_deg"], found["camera_height_std_m"]
+        height = spell_uncertain(found["camera_height_m"], height_std, "m")
         certain = f"its tilt is uncertain by {tilt:.2g} degrees, " if np.isfinite(tilt) else ""
-        certain += (
-            f"{next(iter(rig))} is {spell_uncertain(found['camera_height_m'], height_std, 'm')} above it"
-        )
-        certain += "" if np.isfinite(height_std) else ", uncertainty unknown"
-        return note(f"{found['by']}; {certain}", "z = 0 is the mean surface of moving water")
-    if experiment.rest:
-        file = experiment.path.name
-        return note(
-            "the experiment names a still-water record, but the rig was made without it",
-            "z = 0 is the target's plane, not the water at rest",
-            f"Run `wavefield calibrate {file}` again, or `wavefield refine {file}` if another program made "
-            "the rig",
-            "remark",
-        )
-    uncertain = f", uncertain by {1e3 * level_std:.2g} mm" if level_std > 0 else ""
-    return note(
-        "there is no still-water record",
-        f"z = 0 is the target's plane{uncertain}; visible beads are above the water, which lowers u and v of "
-        "12 cm waves by about 2 %",
-        "Record some twenty frames of still, seeded water and name them with the key `rest`",
-        "note",
-        **({"level_std_m": level_std} if level_std > 0 else {}),
-    )
+        sentence = f"{found['by']}; {certain}{next(iter(rig))} is {height} above it"
+        sentence += "" if np.isfinite(height_std) else ", uncertainty unknown"
+        means = "z = 0 is the mean surface of moving water"
+    elif experiment.rest:
+        weight, file = "remark", experiment.path.name
+        sentence = "the experiment names a still-water record, but the rig was made without it"
+        means = "z = 0 is the target's plane, not the water at rest"
+        remedy = f"Run `wavefield calibrate {file}` again, or `wavefield refine {file}` if another program "
+        remedy += "made the rig"
+    else:
+        values = {"level_std_m": level_std} if level_std > 0 else {}
+        uncertain = f", uncertain by {1e3 * level_std:.2g} mm" if level_std > 0 else ""
+        sentence = "there is no still-water record"
+        means = f"z = 0 is the target's plane{uncertain}; visible beads are above the water, which lowers u "
+        means += "and v of 12 cm waves by about 2 %"
+        remedy = "Record some twenty frames of still, seeded water and name them with the key `rest`"
+    return Remark("rig", "water level", weight, sentence, means, remedy, values)
 
 
 def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
     """Report where the light sheet is, in which z = 0 is, or that its position is unknown."""
-
-    def remark(weight: Weight, found: str, means: str, remedy: str = "", **values: float) -> Remark:
-        return Remark("rig", "light sheet", weight, found, means, remedy, values)
-
     sheet = rig.provenance.get("light_sheet")
     if not isinstance(sheet, dict) or "height_m" not in sheet:
-        return remark(
+        return Remark(
+            "rig",
+            "light sheet",
             "remark",
             "the position of the light sheet has not been determined",
             "z = 0 is the target's plane; if the sheet is elsewhere, displacements are at wrong positions",
@@ -230,25 +196,23 @@ def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
         )
     height, elsewhere = float(sheet["height_m"]), float(sheet.get("elsewhere_m", 0.0))
     if elsewhere > 0:
-        return remark(
+        return Remark(
+            "rig",
+            "light sheet",
             "remark",
             "a camera has moved since the calibration; two cameras do not show which one, nor how far along "
             "their parallax",
             f"All positions in the sheet may be wrong by {1e3 * elsewhere:.1f} mm",
             "Calibrate again, or add a third camera",
-            height_m=height,
-            elsewhere_m=elsewhere,
+            {"height_m": height, "elsewhere_m": elsewhere},
         )
-    return remark(
-        "note",
-        f"the middle of the light sheet was {round(1e3 * height, 2) + 0.0:+.2f} mm from the target's plane",
-        "z = 0 is the middle of the light sheet",
-        height_m=height,
-    )
+    sentence = f"the middle of the light sheet was {1e3 * height:+.2f} mm from the target's plane"
+    means = "z = 0 is the middle of the light sheet"
+    return Remark("rig", "light sheet", "note", sentence, means, values={"height_m": height})
 
 
 def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> Iterator[Remark]:
-    """Report wave probes that cannot be read, or that were not recorded at the time of the frames.
+    """Report wave probes that cannot be read, or that have no time in common with the frames.
     ``span`` is the time of the first and of the last frame, s."""
     try:
         probes = experiment.read_probes()
@@ -276,17 +240,16 @@ def remark_on_probes(
     experiment: Experiment, cube: "xr.Dataset", span: tuple[float, float]
 ) -> Iterator[Remark]:
     """Report unusable wave probes, and probes that contradict the elevation in the cube.
-    ``span`` is the time of the first and of the last frame, s. Only the middle of a long record is compared,
-    at every nth node."""
+    ``span`` is the time of the first and of the last frame, s."""
     of_file = list(remark_on_probe_file(experiment, span))
     yield from of_file
     if of_file or not experiment.probes:
         return
     from wavefield.waves.probes import fit_probes  # imports all of the analysis
 
-    every = slice(None, None, max(1, int(np.sqrt(cube.z[0].size / MAX_NODES))))
-    first = max(0, (len(cube.z) - MAX_PROBE_STEPS) // 2)
-    z = cube.z.isel(time=slice(first, first + MAX_PROBE_STEPS), y=every, x=every).load()
+    every = slice(None, None, max(1, int(np.sqrt(cube.z[0].size / MAX_SAMPLES))))
+    first = max(0, (len(cube.z) - MAX_SAMPLES) // 2)
+    z = cube.z.isel(time=slice(first, first + MAX_SAMPLES), y=every, x=every).load()
     dt = float(z["time"][1] - z["time"][0]) if len(z) > 1 else 1.0
     for fit in fit_probes(z, experiment.read_probes()):
         values = {"correlation": fit.at_zero_lag, "best": fit.best, "lag": fit.lag, "gain": fit.gain}
