@@ -1,4 +1,4 @@
-"""The frames of a camera with the nodes of the grid, and masks drawn by clicking their corners."""
+"""Panels of a page: a camera's images with the nodes of the grid, and masks whose corners the user clicks."""
 
 import json
 from collections.abc import Callable
@@ -27,13 +27,14 @@ _HOW = (
 
 
 def mask_outlines(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
-    """Return the outlines of the True parts of an image (row, column), each (n, 2): column and row in px."""
+    """Return the outer outline of each connected True region of a Boolean image (row, column).
+    Each is an array (n, 2) of column and row, px; regions with fewer than three corners are left out."""
     found, _ = cv2.findContours(covered.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     return [np.asarray(outline[:, 0], np.int32) for outline in found if len(outline) > 2]
 
 
 class MaskPanel:
-    """Collects the corners of masks that the user clicks, and shows the lines for the experiment file.
+    """The tab of masks: the user clicks their corners, and it shows the lines to add to the experiment file.
     `changed` is called after every change of the corners."""
 
     def __init__(self, changed: Callable[[], None]) -> None:
@@ -48,12 +49,13 @@ class MaskPanel:
         self.layout = column(self.words, buttons, sizing_mode="stretch_width")
 
     def add(self, image: str, corner: Corner) -> None:
-        """Add a corner of the mask `image`: px in the image of that camera, or metres for `WATER`."""
+        """Add a corner to the mask of `image`, which is the name of a camera or `WATER` (the water surface).
+        A corner is (column, row), px, for a camera, and (x, y), metres, for the water."""
         if np.isfinite(corner).all():
             self._keep([*self._corners, (image, corner)])
 
     def closed_line(self, image: str) -> dict[str, list[float]]:
-        """Return the corners of the mask `image` as columns "x" and "y"; the first corner is repeated."""
+        """Return the mask of `image`, a camera or `WATER`, as a closed line: corners as lists "x" and "y"."""
         corners = [corner for name, corner in self._corners if name == image]
         line = [*corners, *corners[:1]]
         return {"x": [float(x) for x, _ in line], "y": [float(y) for _, y in line]}
@@ -71,7 +73,8 @@ class MaskPanel:
 
 
 def mask_lines(polygons: dict[str, list[Corner]]) -> str:
-    """Return the entry `mask` of an experiment file from corners by camera (px), or of `WATER` (metres)."""
+    """Return the entry `mask` of an experiment file, as YAML text.
+    `polygons` maps each camera to (column, row) of its corners, px, and `WATER` to their (x, y), metres."""
     lines = ["mask:"]
     for name, corners in polygons.items():
         digits = 4 if name == WATER else 1  # 0.1 mm, 0.1 px
@@ -87,8 +90,8 @@ Image = NDArray[Any]
 
 
 def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
-    """Return an 8-bit copy of an image (row, column) that is n times smaller and fits on a screen, and n.
-    Each pixel is a mean of n x n pixels. The 0.5 % and 99.5 % quantiles become black and white."""
+    """Return an 8-bit copy of an image (row, column) with at most 1000 px along each side, and the factor n.
+    Each pixel of the copy is the mean of n x n pixels. Its 0.5 % and 99.5 % quantiles become 0 and 255."""
     factor = max(1, -(-max(image.shape) // MAX_SCREEN_PX))
     h, w = (n - n % factor for n in image.shape)
     small = np.asarray(image[:h, :w], np.float32)
@@ -99,14 +102,14 @@ def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
 
 
 def keep_pixels_square(made: figure) -> None:
-    """Let the browser adapt the axes of a figure to its size, so that the pixels of the image stay square."""
+    """Let the browser adapt the axes of a figure to the figure's size, so that image pixels are square."""
     square = CustomJS(args={"made": made}, code=parts.asset("square.js"))
     for changed in ("inner_width", "inner_height", "tags"):
         made.js_on_change(changed, square)
 
 
 def fit_image(made: figure, shape: tuple[int, ...]) -> None:
-    """Set the axes of a figure to the size of an image with `shape` (rows, columns)."""
+    """Set a figure's axes to an image of `shape` (rows, columns), unless its last image had that shape."""
     height, width = shape
     if made.tags != [width, height]:  # else the user may have zoomed
         made.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
@@ -115,7 +118,8 @@ def fit_image(made: figure, shape: tuple[int, ...]) -> None:
 
 
 def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
-    """Show an image (row, column) on axes in px of the camera; return the factor n of `shrink`."""
+    """Show an image (row, column) through `source`, the figure's data source, on axes in px of the camera.
+    Return n: each pixel on the screen is the mean of n x n pixels of the image."""
     fit_image(made, image.shape)
     small, factor = shrink(image)
     h, w = small.shape
@@ -127,9 +131,9 @@ def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
 def visible_nodes(
     camera: Camera, x: NDArray[np.floating], y: NDArray[np.floating], fields: Fields, dt: float
 ) -> Fields:
-    """Return the n nodes at x, y (ny, nx), metres, whose water a camera sees in the first frame of a step.
-    `fields` are z, u, v, w and quality (ny, nx) at the middle of the step, which lasts `dt`, s. The result
-    holds x, y, the kind of quality, and X, Y (px), where the water was half a step earlier, each (n,)."""
+    """Return the n grid nodes whose water a camera sees in the first frame of a step, as arrays (n,) by name.
+    Given are nodes x, y, m, and z, u, v, w, quality midway in the step, all (ny, nx); `dt` between frames, s.
+    Names: x, y; kind (`quality_kind`); X, Y, the column and row of the water in the first frame, px."""
     z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
     half = [np.where(np.isfinite(fields[n]), 0.5 * dt * fields[n], 0.0) for n in _MOTION]
     X, Y = camera.project(*(p - h for p, h in zip((x, y, z), half)))
@@ -142,8 +146,8 @@ def visible_nodes(
 
 class CameraPanel:
     """The tab with the image of one camera and the nodes of the grid drawn on it.
-    A click picks the node nearest to it, x and y in metres, unless `took_corner` uses the camera, column and
-    row of the click for a mask. `changed` is called when the user chooses another camera or overlay."""
+    A click calls `took_corner(camera, column, row)`, for masks. If that returns False, the click calls
+    `picked(x, y)` with the nearest node, m. `changed` is called if another camera or overlay is chosen."""
 
     def __init__(
         self,
@@ -200,7 +204,7 @@ class CameraPanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Show the image of the camera that the user chose, at the step of the page."""
+        """Show an image of the chosen camera: the first frame of the step in the page's state `place`."""
         name = parts.chosen(self.camera)
         if not name:
             return

@@ -26,7 +26,8 @@ _VARIABLES = ("z", "w", "u", "v", "z_t", "eps_y", "eps_piv", "z_std")
 
 
 def lights_table(lights: tuple[StatusLight, ...]) -> str:
-    """Return status lights as HTML: a table of single cameras, and below it pairs of cameras and the rig."""
+    """Return status lights as an HTML table with a column per camera.
+    The lights of pairs of cameras and of the whole rig are rows below those of single cameras."""
     of_cameras = [light for light in lights if light.camera and "-" not in light.camera]
     cameras = list(dict.fromkeys(light.camera for light in of_cameras))
     cells = {(light.name, light.camera): light for light in of_cameras}
@@ -55,7 +56,8 @@ class CameraView:
 
 
 class FollowPage:
-    """The page of an experiment that is being recorded, in one browser tab, with probes on the map."""
+    """The page of an experiment that is being recorded, in one browser tab; it shows what `follower` finds.
+    `probes`, with variables probe_x and probe_y in metres, are marked on the map."""
 
     def __init__(self, follower: Follower, probes: xr.Dataset | None = None) -> None:
         self._follower = follower
@@ -90,7 +92,7 @@ class FollowPage:
         return made
 
     def attach(self, document: Document) -> None:
-        """Add the page to a Bokeh document."""
+        """Add the page to a Bokeh document, which from then on calls `refresh` five times a second."""
         views = [view.figure for view in self.cameras.values()]
         camera_row = row(*views, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
         roots = {
@@ -114,7 +116,7 @@ class FollowPage:
         self.refresh()
 
     def refresh(self) -> None:
-        """Draw what has changed since the last call."""
+        """Draw the lights, images and map that the follower has published since the last call."""
         latest = self._follower.latest
         if latest is None:
             trouble = "<br>".join(map(plain, self._follower.watch.trouble.values()))
@@ -177,12 +179,12 @@ class FollowPage:
 
 
 def _large(heading: str, colour: str, words: str) -> str:
-    """Return HTML with `heading` in a large font and a colour, and after it `words`, which are HTML."""
+    """Return HTML: the plain text `heading`, large and in `colour`, followed by `words`, which are HTML."""
     return f"<b style='font-size: 19px; color: {colour}'>{plain(heading)}</b> &nbsp; {words}"
 
 
 def follow_server(follower: Follower, port: int | None = None) -> PageServer:
-    """Return a server of the pages of an experiment that is being recorded (`make_server`)."""
+    """Return a web server of the page of an experiment that is being recorded, as `make_server` does."""
     probes = None
     with suppress(WavefieldError):  # the page only marks them on the map
         if follower.experiment.probes:

@@ -1,4 +1,4 @@
-"""Status lights of `wavefield follow`: rate lamps, lenses, beads, cameras and rig by the arriving frames."""
+"""Status lights of `wavefield follow`: rate light, focus, seeding, cameras and rig from the newest frames."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
@@ -30,7 +30,7 @@ _ORDER = ("arrival", "synchronisation", "brightness", "saturation", "seeding", "
 LIMITS: dict[str, Limits] = {
     "saturated": (0.01, 0.05),  # fraction of pixels
     "cells": (0.6, 0.3),  # fraction of cells with beads
-    "bead_size": (2.5, np.inf),  # standard deviation of the images of beads, px
+    "bead_size": (2.5, np.inf),  # width of the beads' images (standard deviation of a Gaussian), px
     "silence": (2.0, 5.0),  # time without a new frame, minus `INTERVALS` frame intervals, s
     "delay": (0.5, 1.0),  # time by which frames come after those of the other cameras, s
     "eps_y": (0.5, 1.0),  # epipolar error, px
@@ -41,7 +41,7 @@ LIMITS: dict[str, Limits] = {
 }
 # the same for quantities divided by their medians over the first steps
 RELATIVE: dict[str, Limits] = {
-    "brightness": (0.5, 0.5),  # of the light of beads and of background: both are below it if a lamp is off
+    "brightness": (0.5, 0.5),  # the larger of the ratios for beads and background; below it, a lamp is off
     "cells": (0.7, 0.4),
     "bead_size": (1.2, 1.4),
     "matched": (0.8, 0.6),
@@ -53,7 +53,7 @@ INTERVALS = 5  # frame intervals without a new frame that are still normal
 
 @dataclass(frozen=True)
 class StatusLight:
-    """One status light."""
+    """One status light on the page: the state of one property of a camera, a pair of cameras, or the rig."""
 
     name: str  # what is assessed, such as "focus"
     camera: str  # a camera or a pair "a-b"; empty for all together
@@ -63,18 +63,18 @@ class StatusLight:
 
 @dataclass(frozen=True)
 class FrameFeatures:
-    """Brightness, seeding and focus of one frame."""
+    """Numbers measured in one frame, from which its brightness, saturation, seeding and focus are rated."""
 
     dark: float  # 0.1 % quantile of the grey levels
     background: float  # median of the grey levels
     peak: float  # 99.9 % quantile of the grey levels
     saturated: float  # fraction of pixels at the full scale
     cells: float  # fraction of cells of 16 px that contain a bead
-    bead_size: float  # standard deviation of the images of beads, px; NaN with too few of them
+    bead_size: float  # width of the beads' images (standard deviation of a Gaussian), px; NaN with few beads
 
 
 def frame_features(image: Image) -> FrameFeatures:
-    """Return the brightness, seeding and focus of an image (row, column)."""
+    """Return the numbers on brightness, saturation, seeding and focus of an image (row, column)."""
     sample = image[::3, ::3]
     dark, background, peak = (float(v) for v in np.percentile(sample, [0.1, 50.0, 99.9]))
     brightest = float(image.max())
@@ -93,7 +93,7 @@ def frame_features(image: Image) -> FrameFeatures:
 
 @dataclass(frozen=True)
 class StepSummary:
-    """Misfit, fraction of measured nodes, and height of the waves in one step."""
+    """Numbers of one measured step, from which its misfit, coverage and range of z are rated."""
 
     eps_piv: float  # rms difference of displacements between cameras, px
     coverage: float  # fraction of the grid's nodes that were measured, not filled
@@ -102,15 +102,15 @@ class StepSummary:
 
 @dataclass(frozen=True)
 class PairSummary:
-    """How well the images of two cameras agree at one instant."""
+    """How well the images of two cameras agree at one instant, for the light of this pair."""
 
     eps_y: float  # epipolar error, rms, px
     matched: float  # fraction of the visible blocks that match
 
 
 def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, float]) -> StepSummary:
-    """Return the summary of a measured step; eps_piv and range_used are NaN if no node has a value.
-    `fields` are z (m), eps_piv (px) and quality (ny, nx). z was searched between the ends of `z_range`, m."""
+    """Return the summary of a measured step; its eps_piv and range_used are NaN if no node has a value.
+    `fields` holds z (m), eps_piv (px) and quality, (ny, nx). `z_range` is the searched range of z, m."""
     z = np.asarray(fields["z"], float)
     valid = np.isfinite(z)
     if not valid.any():
@@ -128,19 +128,21 @@ def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, flo
 
 @dataclass
 class Baseline:
-    """Medians of summaries over the first steps. Later steps are compared with them."""
+    """The first summaries of each camera, of each pair and of the steps; their medians rate later ones."""
 
     n_steps: int = 4  # number of first steps that count
     _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)
 
     def add(self, name: str, values: object) -> None:
-        """Add a summary, a dataclass of numbers, of the camera or pair `name`; only the first ones count."""
+        """Add a FrameFeatures, PairSummary or StepSummary of the camera or pair `name`; "" for a step.
+        Only the first `n_steps` of each class and name are kept."""
         first = self._first.setdefault((type(values), name), [])
         if len(first) < self.n_steps:
             first.append(values)
 
     def medians(self, kind: type[T], name: str = "") -> T | None:
-        """Return the medians of the first summaries of class `kind`; None until there are `n_steps`."""
+        """Return the medians of the first summaries of class `kind` and camera or pair `name`, as a `kind`.
+        The result is None until there are `n_steps` of them."""
         first = self._first.get((kind, name), [])
         if len(first) < self.n_steps:
             return None
@@ -149,8 +151,8 @@ class Baseline:
 
 
 def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -> list[StatusLight]:
-    """Return the lights of brightness, saturation, seeding and focus of one camera from its newest frame.
-    `first` holds the medians of its first frames, or is None until these are known."""
+    """Return the lights "brightness", "saturation", "seeding" and "focus" of one camera.
+    `now` is of its newest frame; `first` holds the medians of its first frames, or is None before these."""
     words = f"beads at {now.peak:.0f}, background {now.background:.0f}"
     dark = False
     if first is not None:
@@ -176,7 +178,7 @@ def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -
 
 def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> StatusLight:
     """Return the light of a pair of cameras "a-b", which is bad if they disagree: one may have moved.
-    `first` holds the medians of the first steps, or is None until these are known."""
+    `now` is of the newest frames; `first` holds the medians of the first ones, or is None before these."""
     state = _worst(_rate("eps_y", now, first), _rate("matched", now, first))
     missed = f"epipolar error {now.eps_y:.2f} px" if np.isfinite(now.eps_y) else "no blocks match"
     return StatusLight("eps_y", pair, state, f"{missed}; {100 * now.matched:.0f} % of the blocks match")
@@ -186,8 +188,8 @@ def arrival_lights(
     silent: Mapping[str, float], written: Mapping[str, float], newest: Mapping[str, int], frame_rate: float
 ) -> list[StatusLight]:
     """Return a light "arrival" for each camera, and a light "synchronisation" for each that has frames.
-    By camera, `silent` holds the time since its newest frame was noticed, s, `written` the time at which this
-    frame was written, s since the epoch, and `newest` its number. `frame_rate` is in Hz."""
+    Given are, by camera, the time since the newest frame was found (`silent`, s), the time at which it was
+    written (`written`, s since the epoch), and its number (`newest`); and the frame rate, Hz."""
     out = []
     for camera, since in silent.items():
         state = _state(since - INTERVALS / frame_rate, LIMITS["silence"])
@@ -205,8 +207,8 @@ def arrival_lights(
 
 
 def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight]:
-    """Return the lights of misfit, fraction of measured nodes, and range of z for a measured step.
-    `first` holds the medians of the first steps, or is None until these are known."""
+    """Return the lights "eps'" (misfit), "coverage" and "range of z" of a measured step.
+    `now` holds its numbers; `first` holds the medians of the first steps, or is None before these."""
     found = {
         "eps'": ("eps_piv", f"displacements differ by {now.eps_piv:.2f} px"),
         "coverage": ("coverage", f"{100 * now.coverage:.0f} % of the nodes measured"),
@@ -216,7 +218,7 @@ def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight
 
 
 def red_lights(lights: Sequence[StatusLight]) -> list[StatusLight]:
-    """Return the lights whose state is bad, causes before their consequences."""
+    """Return the lights whose state is "bad", causes before consequences, such as focus before eps_y."""
     bad = [light for light in lights if light.state == "bad"]
     return sorted(bad, key=lambda light: _ORDER.index(light.name))
 
@@ -227,7 +229,8 @@ def _ratio(value: float, reference: float) -> float:
 
 
 def _rate(name: str, now: T, first: T | None) -> State:
-    """Return the state of the number `name` of a summary, by its value and by its change since `first`."""
+    """Return the state of the field `name` of the summary `now`: the worse of two.
+    One is of its value, by `LIMITS`; the other of its ratio to that of the medians `first`, by `RELATIVE`."""
     value = getattr(now, name)
     state = _state(value, LIMITS[name])
     if first is None or name not in RELATIVE:
@@ -236,7 +239,7 @@ def _rate(name: str, now: T, first: T | None) -> State:
 
 
 def _state(value: float, limits: Limits) -> State:
-    """Return whether a value is good, or beyond its limits for doubtful or bad; NaN counts as good."""
+    """Return "doubtful" or "bad" for a value beyond the first or second limit, else "good"; NaN is "good"."""
     doubtful, bad = limits
     if bad < doubtful:
         value, doubtful, bad = -value, -doubtful, -bad

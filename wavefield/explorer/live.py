@@ -1,4 +1,4 @@
-"""The work behind `wavefield follow`: find, measure and rate the newest frames of a recording experiment."""
+"""The work behind `wavefield follow`: find, measure and rate the newest frames while cameras record."""
 
 import logging
 import os
@@ -42,7 +42,7 @@ class FrameSet:
 
     number: int  # number of the first frame
     images: dict[str, tuple[NDArray[Any], NDArray[Any]]]  # both frames, by camera
-    written: float  # when the last of all frames was written, s since the epoch
+    written: float  # when the last of these frames was written, s since the epoch
 
 
 class FolderWatch:
@@ -58,7 +58,7 @@ class FolderWatch:
         self._frames: dict[str, dict[int, FrameEntry]] = {}
 
     def poll(self) -> None:
-        """List the image folders; note the newest frame of each camera, or its error in `trouble`."""
+        """List the image folders once; update `newest` and `written`, or `trouble` if a folder has an error."""
         self._polled = time.monotonic()
         for name, section in self.experiment.cameras.items():
             try:
@@ -75,11 +75,12 @@ class FolderWatch:
                 self._noticed[name] = self._polled
 
     def silent(self) -> dict[str, float]:
-        """Return the time, s, from the discovery of each camera's newest frame to the last `poll`."""
+        """Return by camera the time, s, from the discovery of its newest frame to the last `poll`."""
         return {name: self._polled - when for name, when in self._noticed.items()}
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
-        """Return the newest two successive frames of all recording cameras, numbered above `after`."""
+        """Return the newest two successive frames of all cameras that still record; None if there are none.
+        The number of the first is above `after`. Cameras more than 1 s late have stopped."""
         latest = max(self.written.values(), default=0.0)
         longest = lights.LIMITS["delay"][1]  # a camera further behind the others counts as stopped
         sending = [name for name, when in self.written.items() if latest - when <= longest]
@@ -111,7 +112,8 @@ def _written(entry: FrameEntry) -> float:
 
 
 class LiveMeasurement:
-    """Measures single steps of an experiment that is being recorded, as soon as it has a rig."""
+    """Measures single steps of an experiment that is being recorded, if a rig can be loaded.
+    `rig` is a Rig or the path of a rig file; if None, the file that the experiment names is read."""
 
     def __init__(self, experiment: Experiment, rig: Rig | Path | None) -> None:
         self._experiment, self._rig = experiment, rig
@@ -124,7 +126,7 @@ class LiveMeasurement:
         self.trouble = ""  # why nothing is measured
 
     def measure(self, frames: FrameSet) -> tuple[Fields, StepSummary | None]:
-        """Return the fields (ny, nx) and the summary of the step between two frames.
+        """Return the fields (ny, nx), by variable, and the summary of the step between two frames.
         They are {} and None without a rig or after an error; `trouble` then holds the reason."""
         firsts = {name: both[0] for name, both in frames.images.items()}
         sizes = {name: (image.shape[1], image.shape[0]) for name, image in firsts.items()}
@@ -152,7 +154,7 @@ class LiveMeasurement:
         return fields, lights.summarize_step(fields, geometry.z_range)
 
     def pairs(self, frames: FrameSet) -> dict[str, PairSummary]:
-        """Return how well the cameras of each pair "a-b" agree at the second frame; empty without a rig."""
+        """Return, by pair of cameras "a-b", how well their second frames agree; {} without a rig."""
         if self.learner is None:
             return {}
         geometry = self.learner.geometry
@@ -177,7 +179,8 @@ class LiveMeasurement:
         return image if background is None else subtracted(image, background)
 
     def _prepare(self, images: Mapping[str, NDArray[Any]]) -> None:
-        """Load the rig, and compute geometry and masks for images by camera, or set `trouble`."""
+        """Load the rig, and set `learner` and masks for the sizes of `images` (by camera).
+        On an error only `trouble` is set."""
         from wavefield.execution.workflow import Workflow
         from wavefield.pipeline.prepare import make_settings
 
@@ -207,7 +210,8 @@ class LiveMeasurement:
 
 
 class Learner:
-    """Keeps a model of waves and noise, estimated from the newest frames; `model` is None at first."""
+    """Keeps the model of waves and noise that measuring needs, estimated anew from the newest frames.
+    `model` is None until the first estimate succeeds."""
 
     def __init__(self, geometry: GridGeometry, frame_rate: float) -> None:
         self.geometry, self._frame_rate = geometry, frame_rate
@@ -218,7 +222,8 @@ class Learner:
         self._next_s = 0.0
 
     def add(self, frames: tuple[Frames, Frames], masks: tuple[Masks, Masks]) -> None:
-        """Add the two frames of a step and their masks, by camera, and estimate the model again if due."""
+        """Add the two frames of a step and their masks, by camera, and estimate the model again if it is due.
+        It is due after a pause ten times as long as the last estimate took."""
         self._steps.append((frames, masks))
         begun = time.monotonic()
         if self.model is not None and begun < self._next_s:
@@ -240,7 +245,7 @@ class FollowedSet:
 
     number: int  # number of the first frame
     images: Mapping[str, NDArray[Any]]  # the second frame, by camera
-    fields: Fields  # (ny, nx): the measured step; empty without a rig
+    fields: Fields  # the measured step, (ny, nx) by variable; empty if it was not measured
     lights: tuple[StatusLight, ...]
     delay: float  # time from the last frame's file to this result, s
     measured: int  # pairs of frames handled so far, also without a rig
@@ -265,14 +270,14 @@ class Follower:
 
     @property
     def nodes(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Positions of the nodes along x (nx,) and y (ny,), metres; both empty until a rig is there."""
+        """Positions of the grid's nodes along x (nx,) and y (ny,), m; both empty before a rig is loaded."""
         learner = self._measurer.learner
         if learner is None:
             return np.empty(0), np.empty(0)
         return learner.geometry.grid.x_nodes, learner.geometry.grid.y_nodes
 
     def start(self) -> None:
-        """Start to watch, in a thread."""
+        """Start the thread that watches the image folders."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -296,7 +301,8 @@ class Follower:
                 self._stop.wait(POLL_S)
 
     def poll(self) -> bool:
-        """List the image folders once and measure the newest frames; return whether there were new ones."""
+        """List the image folders once, and measure and publish the newest frames if these are new.
+        Return whether there were new ones."""
         self.watch.poll()
         frames = self.watch.newest_set(after=self.latest.number if self.latest else -1)
         if frames is not None:

@@ -32,7 +32,8 @@ _WHERE = ("x, y", "$x{0.000}, $y{0.000} m")
 
 
 def map_aspect(ratio: float) -> float:
-    """Return the aspect ratio of a map with margins, 900 px wide, for a field with the aspect `ratio`."""
+    """Return the width over the height of a map with its margins, for a field with this `ratio` of the two.
+    The margins are those of a map 900 px wide; the result is between 0.8 and 3."""
     return float(np.clip(ratio * 900 / (768 + 60 * ratio), 0.8, 3.0))
 
 
@@ -43,9 +44,9 @@ def top_speed(u: Field, v: Field) -> float:
 
 
 def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Field, Field, float]:
-    """Return lines x, y (7 n,), metres, that draw n velocity arrows, and their scale, m per m/s.
+    """Return x and y (7 n,), metres, of lines that draw n velocity arrows, and their scale, m per m/s.
     u, v (ny, nx) are in m/s at x (nx,), y (ny,), metres. Each arrow has six points and a NaN after them. An
-    arrow of the speed `fastest`, m/s, is a little longer than the distance between arrows."""
+    arrow for the speed `fastest`, m/s, is 1.2 times as long as the distance between arrows."""
     some = thin(len(x), len(y))
     gap = some.step * float(np.mean(np.diff(x)))
     metres = 1.2 * gap / fastest if fastest > 0 else 0.0
@@ -64,7 +65,7 @@ def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Fiel
 def draw_layers(
     made: figure, sources: Mapping[str, ColumnDataSource], mapper: LinearColorMapper
 ) -> GlyphRenderer:
-    """Draw image, arrows and probes of three sources on a map, and return the drawing of the image."""
+    """Draw the sources "image", "arrows" and "probes" on a map, and return Bokeh's renderer of the image."""
     made.grid.grid_line_color = None
     image = made.image("image", source=sources["image"], color_mapper=mapper)
     made.x_range.renderers = made.y_range.renderers = [image]
@@ -74,7 +75,7 @@ def draw_layers(
 
 
 class MapPanel:
-    """The map of one variable; `picked` is called with x and y, metres, when the user clicks on it."""
+    """The map of one variable of a cube; `picked` is called with x and y, m, when the user clicks on it."""
 
     def __init__(self, record: CubeRecord, picked: Callable[[float, float], None]) -> None:
         self._record = record
@@ -117,7 +118,7 @@ class MapPanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Draw the variable and step that the state of the page names, with its arrows and picked node."""
+        """Draw the variable and step in `place`, the state of the page, with arrows and the picked node."""
         record, shown = self._record, display(place.show)
         values = record.field(place.show, place.step)
         if place.show == "quality":
@@ -152,8 +153,8 @@ class MapPanel:
         return changed
 
     def limits(self, place: Place) -> tuple[float, float]:
-        """Return the ends of the colour scale that the user entered, in the displayed unit.
-        Else they are fitted to the first step shown that has values, and (-1, 1) until then."""
+        """Return the lower and upper end of the colours, in the displayed unit, as the user entered them.
+        By default they fit the first drawn step of the variable that has values; until then (-1, 1)."""
         name = place.show
         if name not in self._fitted:
             values = self._record.field(name, place.step)

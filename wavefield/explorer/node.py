@@ -1,4 +1,4 @@
-"""Time series at one node with uncertainty and quality, their spectrum, and a wave probe near the node."""
+"""Time series at one grid node with uncertainty and quality, a spectrum, and a wave probe near the node."""
 
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating]
 MAX_PROBE_DISTANCE_M = 0.05  # a probe farther away measures other phases of short waves
 _MAIN = ("z", "u", "v", "w")
-MIN_STEPS_OF_SPECTRUM = 32  # the shortest run, which has one segment
+MIN_STEPS_OF_SPECTRUM = 32  # shortest series of which a spectrum is shown; it has one Welch segment
 
 
 class Spectrum(NamedTuple):
@@ -32,8 +32,8 @@ class Spectrum(NamedTuple):
 
 
 def longest_run(values: Array) -> Array:
-    """Return the longest part of a series (n,) without a gap of more than two steps.
-    Shorter gaps are filled by linear interpolation, as in `wavefield analyze`."""
+    """Return the longest part of a series (n,) in which at most two successive values are missing (NaN).
+    Such gaps are filled by linear interpolation, as in `wavefield analyze`."""
     from wavefield.waves.record import LONGEST_BRIDGE  # takes a second to import
 
     finite = np.flatnonzero(np.isfinite(values))
@@ -46,8 +46,8 @@ def longest_run(values: Array) -> Array:
 
 
 def spectrum(values: Array, dt: float) -> Spectrum | None:
-    """Return the Welch spectrum of the `longest_run` of a series (n,), or None if it has under 32 steps.
-    `dt` is the time step, s. Segments and degrees of freedom are those of `wavefield analyze`."""
+    """Return the Welch spectrum of the `longest_run` of a series (n,); None if that has fewer than 32 steps.
+    `dt` is the time step, s. Segments and degrees of freedom are chosen as in `wavefield analyze`."""
     from scipy import signal  # takes most of a second to import
 
     from wavefield.waves.welch import choose_segment, degrees_of_freedom, interval, segment_count
@@ -62,7 +62,7 @@ def spectrum(values: Array, dt: float) -> Spectrum | None:
 
 
 def nearest_probe(probes: "xr.Dataset | None", x: float, y: float, reach: float) -> "xr.Dataset | None":
-    """Return the probe nearest to a point x, y; None if it is farther away than `reach` (all in metres)."""
+    """Return the probe nearest to a point x, y, or None if none is within `reach` (all in metres)."""
     if probes is None:
         return None
     distance = np.nan_to_num(np.hypot(probes.probe_x.values - x, probes.probe_y.values - y), nan=np.inf)
@@ -71,7 +71,7 @@ def nearest_probe(probes: "xr.Dataset | None", x: float, y: float, reach: float)
 
 
 class NodePanel:
-    """The tab with series, quality and spectrum at the node that the user picked."""
+    """The tab with time series, quality and spectrum at the grid node that the user picked."""
 
     def __init__(self, record: CubeRecord) -> None:
         self._record = record
@@ -138,7 +138,7 @@ class NodePanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Show values, series, quality and spectrum at the picked node of the page."""
+        """Show values, series, quality and spectrum at the picked node in `place`, the state of the page."""
         self.show_step(place)
         if self._node is not None:
             self._show_series()
@@ -146,7 +146,7 @@ class NodePanel:
             self._show_spectrum()
 
     def show_step(self, place: Place) -> None:
-        """Show the values at the picked node at the step of the page; the series stay as they are."""
+        """Show the values at the node and step in `place`, the page's state; leave the series as they are."""
         record, self._node = self._record, place.node
         self.now.location = float(record.time[place.step])
         if self._node is None:
@@ -172,14 +172,15 @@ class NodePanel:
         return nearest(y, self._node[1]), nearest(x, self._node[0])
 
     def _near_probe(self) -> "xr.Dataset | None":
-        """Return the wave probe near the picked node, or None."""
+        """Return the probe nearest to the picked node, within 5 cm or one grid spacing; None without one."""
         record = self._record
         j, i = self._index(record.y, record.x)
         spacing = abs(float(record.x[-1] - record.x[0])) / max(record.x.size - 1, 1)
         return nearest_probe(self.probes, record.x[i], record.y[j], max(MAX_PROBE_DISTANCE_M, spacing))
 
     def _series(self, name: str, unit_of: str = "") -> Array:
-        """Return a variable near the picked node, (time,), in the unit in which `unit_of` is displayed."""
+        """Return the variable `name` at the preview's node nearest to the picked node, (time,).
+        Its unit is that in which the variable `unit_of`, by default `name`, is displayed."""
         preview, factor = self._record.preview, display(unit_of or name).factor
         return preview.series(name, *self._index(preview.y, preview.x)) * np.float32(factor)
 
@@ -246,7 +247,8 @@ class NodePanel:
 
 
 def _reading(name: str, values: dict[str, float]) -> str:
-    """Return a variable, and its standard uncertainty if there is one, as text in the displayed unit."""
+    """Return a variable as text such as "z 1.2 ± 0.1 cm", with its standard uncertainty if there is one.
+    `values` holds the variables at a node, in the units of the cube."""
     shown, value, std = display(name), values[name], values.get(f"{name}_std", np.nan)
     if not np.isfinite(value):
         return f"{name} none"

@@ -1,4 +1,4 @@
-"""The page of `wavefield look` in one browser tab: verdict, controls and panels."""
+"""The page of `wavefield look` in one browser tab: verdict on the cube, controls and panels."""
 
 import re
 import threading
@@ -28,7 +28,7 @@ from wavefield.variables import FrameStatus
 if TYPE_CHECKING:
     import xarray as xr
 
-PICKED = ("node", "mask")  # tabs beside the tabs of `TABS`
+PICKED = ("node", "mask")  # second group of tabs, next to the group `TABS`
 DRAGS = [("move", "pan"), ("mask", "mask")]  # what clicks do: value and label of the options
 _RECHECK_MS = 2000  # between looks at the status of steps while a cube is being written
 _STATUS_WORDS = {
@@ -130,7 +130,7 @@ class LookPage:
         self.picked.on_change("active", lambda a, o, new: self._soon(self._show_picked))
 
     def attach(self, document: Document) -> None:
-        """Add the page to a Bokeh document."""
+        """Add the page to a Bokeh document, which from then on calls `recheck` every two seconds."""
         self._document = document
         roots = self.top, self.options, self.views, self.picked
         for root in (self.head, *roots):
@@ -197,7 +197,7 @@ class LookPage:
             self._soon(self._show_view if list(changed) == ["tab"] else self.redraw)
 
     def entered(self, name: str) -> str | int:
-        """Return what the user entered in the widget `name`; a valid value replaces an invalid one."""
+        """Return the value of the widget `name`: the chosen option, or a valid step in place of an invalid."""
         widget = self.controls[name]
         if isinstance(widget, Select):
             return parts.chosen(widget)
@@ -210,14 +210,14 @@ class LookPage:
         self.change(**changed)
 
     def _clicked(self, x: float, y: float) -> None:
-        """Make a click on the map at x, y, metres, a corner of a mask, or pick the node there."""
+        """Handle a click on the map at x, y, m: add a corner if the user draws masks, else pick the node."""
         from wavefield.series.masks import WATER
 
         if not self._take_corner(WATER, x, y):
             self.pick(x, y)
 
     def pick(self, x: float, y: float) -> None:
-        """Pick and show the node nearest to x, y, metres, where the user clicked on the map or an image."""
+        """Pick the grid node nearest to x, y, metres, a place on the water, and show it."""
         self.place = replace(self.place, node=(x, y))
         self.picked.active = PICKED.index("node")
         self.map.mark(self.place.node)
@@ -230,7 +230,8 @@ class LookPage:
             self.picked.active = PICKED.index("mask")
 
     def _take_corner(self, image: str, x: float, y: float) -> bool:
-        """Add a corner to the mask `image` if the user draws masks; return whether it was added."""
+        """Add a corner x, y to the mask of `image`, a camera (px) or `WATER` (m), if the user draws masks.
+        Return whether it was added."""
         if self.entered("drag") != "mask":
             return False
         self._open_masks()
@@ -270,7 +271,7 @@ class LookPage:
         self._document.add_next_tick_callback(run)
 
     def _guarded(self, draw: Callable[[], None]) -> None:
-        """Call `draw`; show a WavefieldError as a sentence on the page."""
+        """Call `draw`; if it raises a WavefieldError, show the message on the page."""
         try:
             draw()
         except WavefieldError as error:
@@ -313,7 +314,7 @@ class LookPage:
         self.link.text = self.place.query()
 
     def _show_picked(self) -> None:
-        """Draw the open one of the tabs `PICKED`, on the picked node and on masks."""
+        """Draw the tab of `PICKED` that is open: the picked node, or masks."""
         if PICKED[int(self.picked.active)] == "node":
             self.node.show(self.place)
         else:
@@ -340,7 +341,7 @@ class LookPage:
     # -- the head --------------------------------------------------------------------------------------
 
     def _show_head(self) -> None:
-        """Show how many steps are measured, how much of the thinned copy for series is read, and errors."""
+        """Show how many steps are measured, how much of the preview (thinned copy) is read, and errors."""
         record, preview = self.session.record, self.session.record.preview
         done, steps = record.steps_done, record.layout.steps
         words = f"{steps} steps at {record.frame_rate:g} Hz, {spell_time(steps / record.frame_rate)}"
@@ -354,7 +355,7 @@ class LookPage:
         self.state.text = f"{self._error} {words}".strip()
 
     def _show_verdict(self) -> None:
-        """Show the verdict of the run, if there is one. The user can unfold its remarks with a click."""
+        """Show the verdict on the cube, if there is one; a click unfolds its remarks."""
         try:
             found = read_verdict(self.session.record.path)
         except WavefieldError as error:

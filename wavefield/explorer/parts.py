@@ -52,7 +52,7 @@ class Place:
     node: tuple[float, float] | None = None  # x and y of the clicked node, metres
 
     def query(self) -> str:
-        """Return the query of a link to this state; only variable and step are always in it."""
+        """Return the query of a link to this state. It omits defaults of fields other than `show` and `step`."""
         pairs = {}
         for field in fields(self):
             value = getattr(self, field.name)
@@ -64,7 +64,7 @@ class Place:
 
     @classmethod
     def read(cls, query: Mapping[str, str], names: Sequence[str], steps: int, first: int = 0) -> "Place":
-        """Return the state that the query of a link describes; values that are not valid are ignored.
+        """Return the state that the query of a link describes; defaults replace values that are not valid.
         `names` are the variables of the cube, `steps` its number of steps, and `first` the default step."""
         choices = {"show": names, "tab": TABS, "overlay": OVERLAYS}
         found: dict[str, Any] = {name: text for name, text in query.items() if text in choices.get(name, ())}
@@ -97,7 +97,7 @@ Series = NDArray[np.floating]
 
 class LazyPanel:
     """A panel that is imported and made when its tab is first opened; until then the tab shows "Loading".
-    `module` and `kind` name its module and class, which is called with `arguments`."""
+    `module` and `kind` are the names of its module and class, which is called with `arguments`."""
 
     def __init__(self, module: str, kind: str, *arguments: object) -> None:
         loading = text_line("", _LOADING, html=True)
@@ -138,8 +138,8 @@ def make_figure(name: str, **settings: object) -> figure:
 
 
 def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UIElement]) -> Tabs:
-    """Return tabs with titles and bodies, which never widen the page; `active` is the index of the open one.
-    The bodies of closed tabs are not laid out."""
+    """Return Bokeh tabs with these titles and bodies; the tab with the index `active` is open.
+    Tabs never widen the page, and the bodies of closed tabs are not laid out."""
     tabs = [TabPanel(child=body, title=title) for title, body in zip(titles, bodies)]
     narrow = {"grid-template-columns": "minmax(0, 1fr)", "min-width": "0"}
     made = Tabs(tabs=tabs, active=active, name=name, sizing_mode="stretch_width", styles=narrow)
@@ -151,8 +151,8 @@ def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UI
 
 
 def make_sources(prefix: str, **columns: str) -> dict[str, ColumnDataSource]:
-    """Return an empty Bokeh data source for each argument such as node="x y", by keyword.
-    The value of the argument lists the columns. The name of the source is such as "map_node"."""
+    """Return empty Bokeh data sources by keyword: node="x y" makes a source with the columns x and y.
+    With the prefix "map" its name is "map_node"."""
     return {
         key: ColumnDataSource({name: [] for name in names.split()}, name=f"{prefix}_{key}")
         for key, names in columns.items()
@@ -166,13 +166,13 @@ def clear(*sources: ColumnDataSource) -> None:
 
 
 def on_click(made: figure, handle: Callable[[Tap], None]) -> None:
-    """Call `handle` at every click on a figure."""
+    """Call `handle` with Bokeh's event at every click on a figure, single or double."""
     for event in (Tap, DoubleTap):  # a second click within 0.3 s is another event
         made.on_event(event, handle)
 
 
 def add_hover(made: figure, *rows: tuple[str, str], renderers: Sequence[object], mode: str = "mouse") -> None:
-    """Add a tooltip to the drawings `renderers` of a figure; each row is a name and a format of Bokeh."""
+    """Add a tooltip to the drawings `renderers` of a figure; a row is a label and a format such as "@x"."""
     tooltips, drawn = list(rows), list(renderers)
     made.add_tools(HoverTool(tooltips=tooltips, mode=mode, renderers=drawn, line_policy="nearest"))
 
@@ -195,8 +195,9 @@ def apply_template(
     places: Sequence[str],
     aspect: float = 1.3,
 ) -> None:
-    """Set the HTML template of a Bokeh document, whose root elements are named `places`.
-    `aspect` is the width over the height of the map, which then fits into the height of the window."""
+    """Set the title, from `heading` and `command`, and the HTML template of a Bokeh document.
+    `places` are the names of the document's root elements. `aspect` is the width over the height of the map,
+    which then fits into the height of the window."""
     document.title = f"{heading} – wavefield {command}"
     document.template = template("page.html")
     document.template_variables.update(
@@ -231,13 +232,13 @@ def alert(error: Exception) -> str:
 
 
 def chosen(choice: Select) -> str:
-    """Return the value that the user chose in a list, or its first option if the browser sent no option."""
+    """Return the option that the user chose in a menu; its first if the browser sent another value, or ""."""
     values = [option if isinstance(option, str) else str(option[0]) for option in choice.options]
     return str(choice.value) if choice.value in values else next(iter(values), "")
 
 
 def named(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Return options of a list of variables: the name, and the name with its meaning."""
+    """Return a menu's options for variables: each a name and the text to show, such as "z: elevation"."""
     return [(name, f"{name}: {TABLE[name].long_name}") for name in names]
 
 
@@ -279,7 +280,7 @@ def draw_probes(made: figure, source: ColumnDataSource) -> None:
 
 
 def draw_masks(made: figure, drawn: ColumnDataSource, saved: ColumnDataSource) -> None:
-    """Draw the masks of the source `saved`, and the corners of the new mask in the source `drawn`."""
+    """Draw masks from the source `saved` and, from `drawn`, the corners of the mask that the user makes."""
     made.patches(
         "xs", "ys", source=saved, fill_alpha=0.15, fill_color=INK, hatch_pattern="/", hatch_alpha=0.5,
         hatch_color="white", line_color=INK, line_width=1.5,
@@ -332,7 +333,7 @@ def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
 def envelope(t: Series, value: Series, std: Series) -> dict[str, Series]:
     """Return the columns t, value, low and high that draw a series (n,) with its band from -std to +std.
     Long series are thinned: of each bin of successive samples, those with the lowest and highest value stay,
-    so that crests and troughs stay visible. The band encloses that of all samples of the bin."""
+    so that crests and troughs stay visible. The band of a bin encloses the bands of all its samples."""
     low, high = value - std, value + std
     if t.size > MOST_POINTS:
         width = -(-2 * t.size // MOST_POINTS)

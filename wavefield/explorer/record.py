@@ -1,6 +1,7 @@
-"""The cube that a page shows: fields at any step, series from a thinned copy in memory, and its run.
+"""The cube that a page shows: fields at any step, series from a thinned copy, and the files of its run.
 
-The thinned copy, the preview, is int16 (variable, y, x, time): value = scale * stored, -32768 is missing.
+The thinned copy in memory, the preview, is int16 (variable, y, x, time). A value is the stored integer times
+the scale of the variable; -32768 marks a missing value.
 """
 
 import threading
@@ -28,7 +29,7 @@ _STEPS_PER_READ = 8  # steps of a field read at once, which makes playback smoot
 
 
 def nearest(positions: NDArray[np.floating], requested: float) -> int:
-    """Return the index of the position (n,) nearest to the requested one."""
+    """Return the index at which `positions` (n,) are nearest to the requested position."""
     return int(np.argmin(np.abs(positions - requested)))
 
 
@@ -59,7 +60,8 @@ class CubeRecord:
         return float(self.group.attrs["frame_rate"])
 
     def refresh(self) -> bool:
-        """Read `frame_status` again, forget the fields of steps whose status changed; tell if any did."""
+        """Read `frame_status` again and drop fields in memory of steps whose status changed.
+        Return whether any did."""
         ledger = read_array(self.group, self.path, "frame_status")
         changed = ledger != self.ledger
         for key in [key for key in self._cache if changed[key[1]]]:
@@ -69,7 +71,7 @@ class CubeRecord:
 
     @property
     def steps_done(self) -> int:
-        """Number of steps that the run has measured or given up."""
+        """Number of steps that the run has measured or could not measure."""
         return int(np.count_nonzero(self.ledger))
 
     def first_step(self) -> int:
@@ -113,7 +115,7 @@ class Preview:
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """Whether all steps of each chunk of the cube are done, (chunks,)."""
+        """For each chunk (range of steps) of the cube, whether all its steps are done, (chunks,)."""
         ledger = self._record.ledger
         return np.array([bool(ledger[a:b].all()) for a, b in self._record.layout.chunks()])
 
@@ -143,7 +145,7 @@ class Preview:
                 self.loaded[index] = True
 
     def stored(self, name: str) -> NDArray[np.int16]:
-        """Return one variable, (y, x, time), as 16-bit integers; `MISSING` where no value is read yet."""
+        """Return one variable, (y, x, time), as 16-bit integers; `MISSING` if there is no value or none yet."""
         return np.asarray(self.fields[self.thin.names.index(name)])
 
     def series(self, name: str, j: int, i: int) -> NDArray[np.float32]:
@@ -153,7 +155,7 @@ class Preview:
 
 
 class LookSession:
-    """The cube and run that all pages of one server share; the cube need not be finished."""
+    """The cube and the files of its run that all pages of one server share; the cube may be unfinished."""
 
     def __init__(self, path: str | Path) -> None:
         self.record = CubeRecord(path)

@@ -35,7 +35,8 @@ _HOSTS = ("localhost", "127.0.0.1")
 
 
 def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
-    """Return x, y, metres, of the node nearest to the middle of the grid that has a value at this step."""
+    """Return x, y, metres, of the node nearest to the middle of the grid, of those with a value at this step.
+    All nodes count if none has a value."""
     x, y = np.meshgrid(record.x - record.x.mean(), record.y - record.y.mean())
     distance = np.hypot(x, y)
     with suppress(StoreError):  # the map reports a damaged step
@@ -49,7 +50,7 @@ class Refused(RequestHandler):
     """Answers requests that lack the token or come from another machine or website."""
 
     def prepare(self) -> None:
-        """Answer with status 403 and a sentence."""
+        """Answer with status 403 (forbidden) and a sentence on how to open the page."""
         self.set_status(403)
         self.finish(
             "Open the whole address that the program printed: it holds a token, and works for localhost."
@@ -57,7 +58,8 @@ class Refused(RequestHandler):
 
 
 class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has no types
-    """Bokeh application, all of whose addresses begin with a secret token, such as ``/TOKEN/ws``."""
+    """Bokeh's web application, with a secret token at the start of all addresses, such as ``/TOKEN/ws``.
+    `make_page` fills the Bokeh document of each browser tab."""
 
     # A cookie would not do: browsers send it to the servers of other users of this machine as well, and do
     # not send it when a notebook of another site shows the page in a frame.
@@ -81,7 +83,7 @@ class GuardedTornado(BokehTornado):  # type: ignore[misc]  # Bokeh's server has 
         return found
 
     def _allows(self, request: HTTPServerRequest) -> bool:
-        """Return whether a request has the token, is sent to this machine, and comes from its own pages."""
+        """Return whether a request has the token, is addressed to this machine, and is from these pages."""
         given = request.path.split("/")[1] if request.path.startswith("/") else ""
         host = request.headers.get("Host", "")
         own = re.sub(r":\d{1,5}$", "", host) in _HOSTS  # any port, because an SSH tunnel may use another
@@ -102,8 +104,9 @@ class PageServer(BaseServer):  # type: ignore[misc]
 
 
 def make_server(make_page: Callable[[Document], None], port: int | None) -> PageServer:
-    """Return a server of pages that only this machine can open, at `port` or a free one of `DEFAULT_PORTS`.
-    `make_page` fills the Bokeh document of each browser tab. Raises WavefieldError if no port is free."""
+    """Return a server of pages that only this machine can open, at `port`; 0 is any free port.
+    None is the first free one of `DEFAULT_PORTS`. `make_page` fills the Bokeh document of each browser tab.
+    Raises WavefieldError if no port is free."""
     ports = DEFAULT_PORTS if port is None else range(port, port + 1)
     for number in ports:
         try:
@@ -125,7 +128,8 @@ def make_server(make_page: Callable[[Document], None], port: int | None) -> Page
 
 
 def session_server(session: LookSession, port: int | None = None) -> PageServer:
-    """Return a server of the pages of a cube (`make_server`), which open in the state of their link."""
+    """Return a web server of the page of a cube, as `make_server` does.
+    Each browser tab opens in the state (step, variable, ...) that its link stores."""
     record = session.record
 
     def make_page(document: Document) -> None:
@@ -140,7 +144,7 @@ def session_server(session: LookSession, port: int | None = None) -> PageServer:
 
 
 class ServedPage:
-    """A page that a notebook shows in a frame. `make` returns its server, which runs in its own thread."""
+    """A page that a notebook shows in a frame. `make` is called in a thread, which runs its server."""
 
     def __init__(self, make: Callable[[], PageServer]) -> None:
         self._ready = threading.Event()
@@ -199,7 +203,7 @@ def look(cube: str | Path, *, port: int | None = 0) -> ServedPage:
     cube : path
         Store written by `run`, finished or not.
     port : int, optional
-        Port of the page, which only this machine can open; by default any free one.
+        Port of the page, which only this machine can open; by default any free one. None: from 5006.
 
     Returns
     -------

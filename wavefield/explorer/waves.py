@@ -1,4 +1,4 @@
-"""The tab of waves: E(k, omega) with the dispersion relation, and E(kx, ky) at one frequency."""
+"""The tab of waves: spectra E(k, omega), with the dispersion relation, and E(kx, ky) at one frequency."""
 
 from dataclasses import replace
 
@@ -21,7 +21,8 @@ _WRAP = {"flex-wrap": "wrap"}
 
 
 def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return log10(density / its largest value), at least -`DECADES`; NaN if no value is positive."""
+    """Return log10(density / largest density), with values below -`DECADES` raised to it.
+    All are NaN if no density is positive."""
     top = float(np.nanmax(density)) if np.isfinite(density).any() else 0.0
     if top <= 0:
         return np.full(density.shape, np.nan, np.float32)
@@ -30,7 +31,7 @@ def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def doppler_relation(k: NDArray[np.floating], current: float, depth: float) -> NDArray[np.floating]:
-    """Return the frequencies, Hz, at a fixed point of free waves with wavenumbers k, rad/m.
+    """Return the frequencies, Hz, at which free waves with wavenumbers k, rad/m, pass a fixed point.
     `current` is the component of the current in the direction of the waves, m/s; `depth` is in metres."""
     return np.asarray((water.dispersion(k, depth) + k * current) / (2 * np.pi))
 
