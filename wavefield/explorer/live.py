@@ -58,7 +58,7 @@ class FolderWatch:
         self._frames: dict[str, dict[int, FrameEntry]] = {}
 
     def poll(self) -> None:
-        """List the image folders once; update `newest` and `written`, or `trouble` if a folder has an error."""
+        """List the image folders once; update `newest` and `written`, or `trouble` on an error."""
         self._polled = time.monotonic()
         for name, section in self.experiment.cameras.items():
             try:

@@ -197,7 +197,7 @@ class LookPage:
             self._soon(self._show_view if list(changed) == ["tab"] else self.redraw)
 
     def entered(self, name: str) -> str | int:
-        """Return the value of the widget `name`: the chosen option, or a valid step in place of an invalid."""
+        """Return the value of the widget `name`: the chosen option, or the step, limited to valid ones."""
         widget = self.controls[name]
         if isinstance(widget, Select):
             return parts.chosen(widget)

@@ -52,7 +52,7 @@ class Place:
     node: tuple[float, float] | None = None  # x and y of the clicked node, metres
 
     def query(self) -> str:
-        """Return the query of a link to this state. It omits defaults of fields other than `show` and `step`."""
+        """Return the query of a link to this state; defaults of all but `show` and `step` are omitted."""
         pairs = {}
         for field in fields(self):
             value = getattr(self, field.name)

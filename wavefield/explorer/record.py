@@ -145,7 +145,7 @@ class Preview:
                 self.loaded[index] = True
 
     def stored(self, name: str) -> NDArray[np.int16]:
-        """Return one variable, (y, x, time), as 16-bit integers; `MISSING` if there is no value or none yet."""
+        """Return one variable, (y, x, time), as 16-bit integers; `MISSING` where no value is known (yet)."""
         return np.asarray(self.fields[self.thin.names.index(name)])
 
     def series(self, name: str, j: int, i: int) -> NDArray[np.float32]:
