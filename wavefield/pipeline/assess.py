@@ -41,8 +41,9 @@ MAX_SAMPLED = 12  # steps of a cube that are assessed after its run
 
 
 def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> cameras.CameraFaults:
-    """Compare the images of the cameras at a few frames of the record, and return what is wrong.
-    ``quality`` (n, ny, nx) is that of some measured steps."""
+    """Compare the images of the cameras at a few frames of the record, and return their faults.
+    ``quality`` (n, ny, nx) is the variable of the cube at some steps. If all cameras measured most of their
+    nodes, a camera whose patches match no other's is not reported."""
     count = prepared.steps + 1
     matcher = cameras.PatchMatcher(prepared.read_uncovered, prepared.rig, prepared.grid)
     frames = evenly_spaced(count, SAMPLE_STEPS)
@@ -158,7 +159,8 @@ def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
 
 
 def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
-    """Return the fraction of the nodes in view that were measured, if required by all cameras; or 0."""
+    """Return the fraction of the nodes in view that were measured, with ``by_all`` only by all cameras.
+    It is 0 if no node is in view."""
     visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
     marks = np.uint16(Quality.MEASURED | (Quality.FEWER_CAMERAS if by_all else 0))
     return float(((quality[visible] & marks) == Quality.MEASURED).mean()) if visible.any() else 0.0

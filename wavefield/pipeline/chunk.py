@@ -47,7 +47,8 @@ class Chunk:
     stop: int  # Step after the last
     sources: Mapping[str, Source] = field(repr=False)  # Frames start - 3 to stop + 2 that exist, by camera
     first: int  # Index in the record of the first frame of the sources
-    departures: np.ndarray | None = field(default=None, repr=False)  # (n + 5,): Lateness, in intervals
+    # (n + 5,): lateness of its frames relative to even times, in frame intervals; None if times are even
+    departures: np.ndarray | None = field(default=None, repr=False)
 
     @property
     def steps(self) -> int:

@@ -44,8 +44,8 @@ _MAX_THICKNESS_FRACTION = 0.05  # beads and light sheets, as a fraction of that 
 
 
 def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> None:
-    """Raise RigError if z = 0 of a rig is not the water or lengths are not in metres; ExperimentError if a
-    camera is below the water. ``rig_file`` is the name of the rig in messages."""
+    """Raise an error if cameras of a rig are not above the water, or if its lengths are not in metres.
+    ``rig_file`` is the name of the rig in messages."""
     refuse_own_frame(rig, rig_file)
     distance = float(np.median(_distances(rig)))
     if not _CAMERA_DISTANCES[0] <= distance <= _CAMERA_DISTANCES[1]:
@@ -159,8 +159,8 @@ class PreparedRun:
     recipe: Recipe  # Everything that determines the values of the cube, as plain data
     workflow: Workflow  # Cluster, chunks and settings of the run
     model: "Model | None" = None  # Estimator with the learned record; None before learning
-    motion: FirstGuess | None = None  # Displacement between frames; None if the settings give it
-    heights: FirstHeights | None = None  # Range of elevations; None if the settings give `z_range`
+    motion: FirstGuess | None = None  # Displacement between frames; None if its search range is given
+    heights: FirstHeights | None = None  # Range of elevations; None if `z_range` is given
     departures: np.ndarray | None = None  # (n,): Lateness in frame intervals; None if times are even
 
     def with_prior(self, record: Mapping[str, object]) -> "PreparedRun":

@@ -69,8 +69,8 @@ def sample(
     geometry: "GridGeometry", pair: Pair, flat: Mapping[str, Any], displacement: NDArray[np.floating]
 ) -> Sample | None:
     """Return means over the patches that two cameras match; None if an image is missing or too few match.
-    ``flat`` holds the filtered image of each camera. ``displacement`` (3, ny, nx) is that of the water at the
-    grid nodes, metres per frame, NaN where not measured."""
+    ``flat`` holds the filtered image of each camera. ``displacement`` (3, ny, nx) is the displacement of the
+    water at the grid nodes, metres per frame, NaN where not measured."""
     from wavefield.measurement.pair import match_pair
 
     if not all(name in flat for name in pair):
@@ -176,9 +176,9 @@ def delays(
     rate: float,
     threads: int = 1,
 ) -> Synchrony:
-    """Measure the delays of the cameras from some frames; empty if that of any pair is not determined.
-    ``displacement`` returns that of the water at the grid nodes, (3, ny, nx), metres per frame, NaN where not
-    measured. ``rate`` is the frame rate, Hz."""
+    """Measure the delays of the cameras from some frames; no delays if that of any pair is not determined.
+    ``displacement`` returns the displacement of the water at the grid nodes at a frame, (3, ny, nx), metres
+    per frame, NaN where not measured. ``rate`` is the frame rate, Hz."""
     pair_delays: dict[Pair, tuple[float, float]] = {}
     speeds: list[float] = []
 
