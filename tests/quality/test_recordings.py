@@ -1,11 +1,16 @@
 """Runs from recordings whose files contain the times of their images."""
 
+from itertools import pairwise
+
+import cv2
 import numpy as np
 from cube_cases import FRAMES, HERE, far_apart
 
 from tests.series.test_series_recordings import write_seq
-from wavefield.images import read_image
+from wavefield.images import read_image, write_image
 from wavefield.pipeline import check, open_cube, run
+from wavefield.quality.record import remark_on_recordings
+from wavefield.series import Experiment
 
 RATE = 20.0
 
@@ -27,3 +32,24 @@ def test_nothing_is_measured_across_images_that_all_cameras_dropped(own_tank, re
     # the sample steps beside the gap are others: of 16 cm of water each gives another spectrum
     for steps in (slice(0, 3), slice(11, 16)):
         assert far_apart(cube, good, steps, most=0.5) == []
+
+
+def test_interlaced_images_are_named_and_others_are_not(tmp_path):
+    def remarks(images):
+        for k, image in enumerate(images):
+            write_image(tmp_path / f"{k}.tif", image)
+        (tmp_path / "e.yaml").write_text("name: e\nframe_rate: 10\ncameras: {a: '{frame}.tif'}\n")
+        experiment = Experiment.load(tmp_path / "e.yaml")
+        return [str(one) for one in remark_on_recordings(experiment, experiment.open_frames())]
+
+    rng = np.random.default_rng(1)
+    beads = cv2.GaussianBlur(rng.normal(size=(200, 400)).astype("f4"), (0, 0), 1.2)
+    beads = np.clip(128 + 200 * beads + rng.normal(0, 4, beads.shape), 0, 255).astype("u1")
+    moments = [np.ascontiguousarray(beads[:, 3 * k : 3 * k + 200]) for k in range(10)]
+    combed = [np.where(np.arange(200)[:, None] % 2, one, two) for one, two in pairwise(moments)]
+    mosaic = [one // 2 + (40 * (np.indices(one.shape).sum(0) % 2)).astype("u1") for one in moments]
+    noise = [rng.integers(0, 255, (200, 200), np.uint8) for _ in range(10)]
+    for images in (moments, mosaic, noise):
+        assert remarks(images) == []
+    (only,) = remarks(combed)
+    assert "its images are interlaced" in only

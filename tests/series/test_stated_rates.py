@@ -64,6 +64,28 @@ def test_a_header_that_its_stamps_contradict_is_refused(tmp_path):
     close_files()
 
 
+def test_the_unit_of_time_stamps_is_named_where_it_explains_their_rate_and_not_elsewhere(tmp_path):
+    units = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+    chance = np.random.default_rng(8)
+    hdf5(tmp_path / "a.h5", np.zeros(STEPS))
+    for _ in range(4):
+        rate, off = float(10 ** chance.uniform(0, 3)), float(chance.uniform(0.97, 1.03))
+        factors = {name: factor * off for name, factor in units.items()}
+        factors["seconds"] = float(10 ** chance.uniform(0.1, 2.9) * 1e3 ** chance.integers(-1, 4))
+        experiment = Experiment.load(
+            note(tmp_path, "a: {images: a.h5, times: a.txt}", f"frame_rate: {rate}\n")
+        )
+        frames = np.cumsum(chance.choice([1, 1, 1, 2], STEPS))
+        for name, factor in factors.items():
+            (tmp_path / "a.txt").write_text("".join(f"{factor * t / rate!r}\n" for t in frames.tolist()))
+            with pytest.raises(ExperimentError) as error:
+                experiment.open_frames()
+            named = [unit for unit in units if f"these look like {unit}; write seconds" in str(error.value)]
+            assert named == ([] if name == "seconds" else [name]), (name, factor)
+            assert ("set `frame_rate" in str(error.value)) == (name == "seconds")
+    close_files()
+
+
 @pytest.mark.parametrize(
     ("order", "sentence"),
     [((0, 2, 1), "they are transposed: .*permute"), ((2, 1, 0), "time is their last axis")],

@@ -1,5 +1,6 @@
 """Videos made here: every frame and its time, in turn, at random and alone."""
 
+import re
 import struct
 from fractions import Fraction
 
@@ -113,6 +114,9 @@ def test_a_rotation_that_the_container_states_is_not_applied(tmp_path, degrees):
     video = Video(path)
     assert (video.shape, number_of(video.read(5))) == ((ROWS, COLUMNS), 5)
     video.close()
+    (tmp_path / "e.yaml").write_text("name: e\nframe_rate: 500\ncameras: {a: a.mp4}\n")
+    (note,) = remark_on_recordings(Experiment.load(tmp_path / "e.yaml"), {})
+    assert re.search(f"its video states a rotation of -?{degrees} degrees, which is not applied", str(note))
 
 
 def test_a_video_whose_camera_dropped_frames_leaves_gaps_at_any_playback_rate(tmp_path):

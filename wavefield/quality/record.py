@@ -24,6 +24,7 @@ from wavefield.quality.remarks import CELLS, MAX_LOST, SIGNIFICANCE
 from wavefield.robust import PER_MEDIAN
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.clocks import is_alike, stated_by_recordings
+from wavefield.series.frames import is_interlaced
 from wavefield.store.verdict import Remark
 from wavefield.text import spell_ranges
 from wavefield.variables import AROUND, FrameFault, FrameStatus, Quality
@@ -128,6 +129,7 @@ def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSerie
     yield from _rates(experiment, series)
     for one in series.values():
         yield from _uneven(one)
+        yield from _interlaced(one)
 
 
 def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
@@ -162,11 +164,20 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
 
 
 def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Report recordings of another frame rate than the experiment file states.
+    """Report recordings of another frame rate than the experiment file states, and rotated videos.
     A note is given if the stated rate is only the playback rate of a video."""
     file, rate = experiment.path.name, experiment.frame_rate
     named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
     stated = stated_by_recordings(named, experiment.image_folder)
+    for name, degrees in ((name, one.rotation) for name, one in stated.items() if one.rotation):
+        yield Remark(
+            name,
+            "mirrored",
+            "note",
+            f"its video states a rotation of {degrees} degrees, which is not applied",
+            "Frames stay as the sensor recorded them",
+            "Take target images in the same orientation",
+        )
     rates = {name: one.rate for name, one in stated.items() if one.rate}
     for name, recorded in rates.items():
         if stated[name].is_video:
@@ -192,6 +203,19 @@ def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterato
             "Velocities are wrong if the camera recorded at another rate (high-speed, time lapse)",
             "In that case, give the camera's own rate as frame_rate",
             values={"playback_hz": rate},
+        )
+
+
+def _interlaced(series: FrameSeries) -> Iterator[Remark]:
+    """Report that the images of a camera are interlaced."""
+    if is_interlaced(series):
+        yield Remark(
+            series.camera,
+            "frame times",
+            "grave",
+            "its images are interlaced: odd and even rows were exposed half a frame interval apart",
+            "Moving beads look like combs, which do not match",
+            "Save each field as a separate image with half the rows, or record progressive frames",
         )
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.formats import VIDEO_ENDINGS, open_recording, recording_path
+from wavefield.series.formats.arrays import SECONDS
 from wavefield.series.formats.recording import usual_interval, usual_intervals
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import MAX_NUMBERS_PER_FRAME, Images, Numbered
@@ -19,6 +20,7 @@ Times = NDArray[np.float64]
 
 MAX_OFFSET = 0.25  # largest offset of a time stamp from an even time, intervals; at 0.5 it is ambiguous
 RATE_DISAGREEMENT = 0.01  # relative; velocities would be wrong by as much
+UNIT_TOLERANCE = 0.05  # relative; the experiment file may give a rounded rate
 DEPARTURE_STEP = 1e-4  # intervals: delays are rounded to this, which changes velocities by 0.01 %
 
 
@@ -55,10 +57,11 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     frames = interval * frame_rate  # frames per interval between time stamps
     if abs(frames - 1.0) > max(RATE_DISAGREEMENT, float(np.ptp(usual)) / interval / len(usual)):
         rate = float(f"{1.0 / interval:.4g}")
-        raise ExperimentError(
-            f"{words.format(rate=rate)}, but frame_rate is {frame_rate:g} Hz: set `frame_rate: {rate:g}`, or "
-            "correct the times, which are in seconds"
-        )
+        remedy = f"set `frame_rate: {rate:g}`, or correct the times, which are in seconds"
+        for unit in ("milliseconds", "microseconds", "nanoseconds"):
+            if abs(frames * SECONDS[unit] - 1.0) < UNIT_TOLERANCE:
+                remedy = f"these look like {unit}; write seconds"
+        raise ExperimentError(f"{words.format(rate=rate)}, but frame_rate is {frame_rate:g} Hz: {remedy}")
 
 
 def read_time_stamps(path: Path, camera: str) -> Times:
@@ -180,6 +183,7 @@ class Stated(NamedTuple):
 
     rate: float | None  # Frames per second (for a video, of its playback); None if not stated
     is_video: bool
+    rotation: int = 0  # Rotation for display that a video states, degrees; it is not applied
 
 
 def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[str, Stated]:
@@ -192,7 +196,8 @@ def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[st
         try:
             if paths:
                 with closing(open_recording(paths[0])) as recording:
-                    found[str(name)] = Stated(recording.rate, is_video(paths[0]))
+                    turned = getattr(recording, "rotation", 0)
+                    found[str(name)] = Stated(recording.rate, is_video(paths[0]), turned)
         except FrameError:  # reported when the images are opened
             continue
     return found

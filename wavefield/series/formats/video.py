@@ -48,6 +48,9 @@ class Video:
         self.times = (lambda: times) if self._timed and self.count > 1 else no_times
         image = self.read(0)
         self.shape = (image.shape[0], image.shape[1])
+        self._rewind()
+        self.rotation = int(getattr(next(self._decoded()), "rotation", 0))  # degrees; frames are not turned
+        self._rewind()
 
     def _open(self) -> None:
         """Open the file and choose its first video stream; FrameError if that fails."""
