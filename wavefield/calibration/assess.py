@@ -1,4 +1,8 @@
-"""Check the views before a calibration, and assess the rig after it, with a sentence for each problem."""
+"""Check target views before a calibration and the fitted rig after it; each problem becomes a sentence.
+
+A pose is one position of the target, which several cameras photograph; a view is the image of one pose by one
+camera. A node is a marked point of the target, for example a corner or a dot.
+"""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -28,17 +32,17 @@ from wavefield.rig.water_level import WaterPlane, fit_plane
 
 @dataclass(frozen=True)
 class FlatSurface:
-    """Positions of the flat target's nodes, triangulated from two or more cameras.
-    Heights z are relative to the nodes' expected heights, so z is zero for a perfect rig."""
+    """Target nodes in one pose, usually flat on z = 0, triangulated from two or more cameras.
+    z is the measured minus the expected height of each node, so it is zero for a perfect rig."""
 
-    x: Array  # (n,): Position of each node, metres
+    x: Array  # (n,): Measured position of each node, metres
     y: Array  # (n,)
     z: Array  # (n,)
     plane: WaterPlane  # The plane through these nodes
 
     @property
     def rms(self) -> float:
-        """Root mean square of z over the nodes that are not outliers, metres."""
+        """Root mean square of z over the nodes that are not outliers of the plane, metres."""
         return _rms(self.z[self.plane.kept])
 
     @property
@@ -52,8 +56,8 @@ def _rms(values: Array) -> float:
 
 
 def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> FlatSurface | None:
-    """Triangulate the nodes of the target in the pose named `pose`.
-    Returns None if fewer than ten nodes are seen by two or more cameras."""
+    """Triangulate the target nodes of the pose named `pose` with `rig`; expected heights come from `fit`.
+    Returns None if fewer than ten nodes can be triangulated. Each must be seen by two or more cameras."""
     o = observations
     N, C = len(o.nodes), len(o.cameras)
     apparent, sight = np.full((C, 2, N), np.nan), np.full((C, 2, N), np.nan)
@@ -71,8 +75,8 @@ def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> F
 
 
 def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, str], Array]:
-    """Return, by pair of cameras, signed distances (m,), px, of nodes from their epipolar lines.
-    The distances are in the image of the second camera. Pairs that saw no common node are left out."""
+    """Return signed distances (m,), px, of target nodes from their epipolar lines, by pair of camera names.
+    They are measured in the image of the second camera. Pairs without a common node are left out."""
     o = observations
     key = o.pose * len(o.nodes) + o.node
     out = {}
@@ -87,7 +91,8 @@ def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, 
 
 
 def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float:
-    """Return the median size of one camera's pixel on the target, metres; `camera` is its index."""
+    """Return the median width on the target that one pixel of a camera covers, metres.
+    `camera` is the index of the camera in the observations."""
     g = fit.geometry
     world = g.world(observations)[observations.camera == camera]
     depth = (world @ g.R[camera].T + g.T[camera])[:, 2]
@@ -97,8 +102,9 @@ def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float
 def residual_summary(
     observations: Observations, fit: Fit, rig: Rig, reference: str
 ) -> tuple[dict[str, Any], FlatSurface | None]:
-    """Return the residuals of cameras, views and pairs as a nested dict, for the report page.
-    The second result is the triangulated nodes of the pose `reference`, or None if they are too few."""
+    """Return rms and largest residuals as a nested dict: ``cameras``, ``epipolar`` and ``flat_target``.
+    The second result is the triangulated nodes of the pose `reference`. If they are too few, it is None and
+    ``flat_target`` is missing."""
     o = observations
     cameras = {}
     for c, name in enumerate(o.cameras):
@@ -146,7 +152,8 @@ MIN_STD = 1e-4  # px: no image gives a smaller uncertainty
 
 
 def usable_views(views: Views, findings: Findings) -> UsableViews:
-    """Select views with enough nodes and the most frequent image size of their camera; note the others."""
+    """Return the views, by camera and pose, with enough nodes and the most frequent image size of the camera.
+    Views that are left out, and cameras without a usable view, are recorded in `findings`."""
     usable: UsableViews = {}
     for name, by_pose in views.items():
         size = _common_size(name, by_pose, findings)
@@ -170,8 +177,8 @@ def usable_views(views: Views, findings: Findings) -> UsableViews:
 def _common_size(
     name: str, by_pose: Mapping[str, TargetPoints], findings: Findings
 ) -> tuple[int, int] | None:
-    """Return the most frequent image size (width, height) of a camera; None if it has no views.
-    If sizes differ, the function adds a problem to `findings`."""
+    """Return the most frequent image size (width, height), px, of the camera `name`; None if it has no views.
+    If its images differ in size, a problem is added to `findings`."""
     sizes = {pose: (int(points.size[0]), int(points.size[1])) for pose, points in by_pose.items()}
     if not sizes:
         return None
@@ -186,7 +193,7 @@ def _common_size(
 
 
 def _finite(points: TargetPoints) -> TargetPoints:
-    """Remove points whose position or uncertainty is not finite; raise uncertainties to `MIN_STD`."""
+    """Return the points with finite position and uncertainty; uncertainties are at least `MIN_STD`."""
     finite = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
     return replace(
         points,
@@ -204,8 +211,10 @@ def calibrate_each(
     flat: str,
     findings: Findings,
 ) -> dict[str, SingleCamera]:
-    """Calibrate each camera alone; problems are added to `findings`, bad views are removed from `usable`.
-    `mesh`, metres, is the distance of nodes, `origin`, metres, the position of node (0, 0)."""
+    """Calibrate each camera from its own views; return the successful ones by name.
+    Problems are added to `findings`, and bad views are removed from `usable` in place. `mesh` is the distance
+    between neighbouring target nodes and `origin` the position of node (0, 0), in metres; `flat` is the name
+    of the pose on z = 0."""
     single: dict[str, SingleCamera] = {}
     for name, views in usable.items():
         if not views:
@@ -237,8 +246,9 @@ def calibrate_each(
 def consistent_cameras(
     single: dict[str, SingleCamera], usable: UsableViews, mesh: float, findings: Findings
 ) -> dict[str, SingleCamera]:
-    """Return the cameras that agree on the poses of the target, or else the one camera with the most views.
-    Views that contradict the other cameras are removed from `single` and `usable`. `mesh` is in metres."""
+    """Return the largest group of cameras that agree on the target's poses; one camera if none share a pose.
+    Views that contradict the other cameras are removed from `single` and `usable` in place. `mesh` is the
+    distance between neighbouring target nodes, metres."""
     consistency = compare_poses(single, mesh)
     _report_inconsistency(consistency, single, mesh, findings)
     for name, pose in consistency.wrong_views:
@@ -254,7 +264,7 @@ def consistent_cameras(
     consistent = {name: camera for name, camera in single.items() if name not in excluded}
     if consistent:
         return consistent
-    # no two cameras are consistent: keep the one with the most views
+    # no two cameras share a pose: keep the one with the most views
     name = max(single, key=lambda n: len(single[n].poses))
     return {name: single[name]}
 
@@ -262,7 +272,8 @@ def consistent_cameras(
 def _report_inconsistency(
     consistency: PoseConsistency, single: Mapping[str, SingleCamera], mesh: float, findings: Findings
 ) -> None:
-    """Add a problem to `findings` for each camera that contradicts the others or shares no view with them."""
+    """Add a problem to `findings` for each camera that contradicts the others or shares no pose with them.
+    `mesh` is the distance between neighbouring target nodes, metres."""
     right = [name for name in single if name not in consistency.wrong_cameras]
     for name in consistency.wrong_cameras:
         flipped = compare_poses({**{n: single[n] for n in right}, name: mirrored(single[name])}, mesh)
@@ -291,8 +302,9 @@ def assess_rig(
     camera_distance: Mapping[str, float],
     findings: Findings,
 ) -> None:
-    """Check a fitted rig against the limits `LIMITS`, and add problems and notes to `findings`.
-    `camera_distance` holds distances from the origin that the user measured, metres."""
+    """Check predicted errors, image coverage and camera distances of a fitted rig against `LIMITS`.
+    Problems and notes are added to `findings`. `camera_distance` holds distances from the origin that the
+    user measured, metres, by camera; `target_std` is the standard uncertainty of node positions, metres."""
     for c, name in enumerate(o.cameras):
         stated = camera_distance.get(name)
         if stated:

@@ -1,7 +1,8 @@
-"""Bundle adjustment: fit cameras and target poses to all nodes at once, with their covariance.
+"""Bundle adjustment: fit all cameras and target poses together, and return the covariance of the parameters.
 
-The parameters x (p,) are steps from a start geometry: lens terms, and a rotation vector and translation for
-each camera and each free pose of the target.
+The parameters x (p,) are steps from start values: lens terms of each camera, and a rotation vector and a
+translation for each camera and for each pose of the target that is not fixed. A node is a marked point of the
+target.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +32,8 @@ TERMS: dict[str, tuple[str, ...]] = {
 
 
 def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
-    """Return the rotation R exp(v) of R (3, 3) and v (3,), rad, and its derivatives (3, 3, 3) by v."""
+    """Return `rotation` (3, 3) times the rotation by `vector` (3,), rad, and its derivatives (3, 3, 3).
+    The first index of the derivatives is the component of `vector`."""
     R, jacobian = cv2.Rodrigues(np.asarray(vector, float))
     derivative = np.asarray(jacobian, float).reshape(3, 3, 3)
     return rotation @ np.asarray(R, float), rotation @ derivative
@@ -39,7 +41,7 @@ def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """The meaning and the position of each entry of the fit's parameter vector x (p,)."""
+    """The meaning and the position of each entry of the parameter vector x (p,) of the joint fit."""
 
     names: tuple[str, ...]  # Name of each parameter
     lens: tuple[tuple[tuple[int, str], ...], ...]  # Per camera: (position in x, lens parameter)
@@ -47,12 +49,13 @@ class ParameterLayout:
     pose: tuple[int | None, ...]  # Per pose: where its six parameters start in x; None for a fixed pose
 
     def pose_step(self, p: int, x: Array) -> Array:
-        """Return the rotation vector and translation (6,) by which x moves pose p; zero for a fixed pose."""
+        """Return the step (6,) of pose number p in x: rotation vector, rad, then translation, m.
+        It is zero for a fixed pose."""
         k = self.pose[p]
         return np.zeros(6) if k is None else x[k : k + 6]
 
     def with_pose(self, name: str, free: bool) -> "ParameterLayout":
-        """Return a copy with one more pose, called `name`, with six new parameters if it is free."""
+        """Return a copy with one more pose of the target, called `name`; it gets six parameters if `free`."""
         names = [f"{name} {part}" for part in ("R1", "R2", "R3", "x", "y", "z") if free]
         first = len(self.names) if free else None
         return replace(self, names=(*self.names, *names), pose=(*self.pose, first))
@@ -65,7 +68,8 @@ def layout(
     placed: Sequence[int] = (),
 ) -> ParameterLayout:
     """Assign a position in the parameter vector to each unknown of the joint fit.
-    `models` holds the free lens terms of each camera; the poses `reference` and `placed` stay fixed."""
+    `models` holds the free lens terms (keys of `TERMS`) of each camera. The poses with the indices
+    `reference` and `placed` stay fixed."""
     names: list[str] = []
     lens, camera = [], []
     for c, name in enumerate(observations.cameras):
@@ -105,7 +109,7 @@ def stepped(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
 
 
 def predict(geometry: Geometry, observations: Observations) -> Array:
-    """Project the observed nodes with a geometry; returns their pixels (n, 2)."""
+    """Return the pixels (n, 2) at which the observed target nodes are for a given geometry."""
     world = geometry.world(observations)
     pixel = np.empty((len(observations), 2))
     for c, camera in enumerate(geometry.cameras(observations.sizes)):
@@ -117,8 +121,9 @@ def predict(geometry: Geometry, observations: Observations) -> Array:
 def linearised(
     start: Geometry, plan: ParameterLayout, x: Array, observations: Observations
 ) -> tuple[Array, Array, Array]:
-    """Predict the pixels (n, 2) of the observed nodes at the parameters x (p,).
-    The other results are derivatives by parameter (n, 2, p) and by the node's position (n, 2, 3), px/m."""
+    """Return the predicted pixels (n, 2) of the observed target nodes after a step x (p,) from `start`.
+    The other results are the derivatives of these pixels by parameter (n, 2, p), and by position of the node
+    in the axes of the target (n, 2, 3), px/m."""
     o = observations
     now = stepped(start, plan, x)
     local = (o.nominal + now.offset)[o.node]
@@ -162,7 +167,9 @@ def linearised(
 def covariance_to_dict(
     names: tuple[str, ...], covariance: Array, cameras: tuple[str, ...]
 ) -> dict[str, list[str] | list[list[float]]]:
-    """Return the names of the cameras' parameters and the lower triangle of their covariance, as lists."""
+    """Return the covariance of the parameters of `cameras` as lists that a file can hold.
+    ``parameters`` holds the names of the parameters, ``lower`` the rows of the lower triangle of the
+    matrix."""
     columns = [k for k, name in enumerate(names) if name.rsplit(" ", 1)[0] in cameras]
     part = covariance[np.ix_(columns, columns)]
     rows = [[float(f"{v:.12g}") for v in row[: k + 1]] for k, row in enumerate(part)]
@@ -174,9 +181,10 @@ HUBER_LIMIT = 4.0  # standard deviations beyond which the loss grows linearly; f
 
 
 class Whitener:
-    """Makes residuals uncorrelated if nodes are displaced by `target_std`, m: multiplies them by C^(-1/2). C
-    = I + target_std^2 B B^T; `by_node` B (n, 2, 3), 1/m, are derivatives of residuals by the node's
-    position."""
+    """Multiplies residuals by C^(-1/2), so that common errors of node positions no longer correlate them.
+    C = I + target_std^2 B B^T is the covariance of the normalised residuals, with `target_std` in m. B is
+    made of `by_node` (n, 2, 3), 1/m: derivatives of the residuals by the position of node number `node`
+    (n,)."""
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
         n, count = len(node), int(node.max()) + 1
@@ -197,13 +205,13 @@ class Whitener:
         self._gain = target_std * _blocks((axes / (1.0 + size)[:, None, :]) @ axes.transpose(0, 2, 1))
 
     def __call__(self, rows: Array) -> Array:
-        """Multiply residuals (2n,) or their Jacobian (2n, p) by C^(-1/2)."""
+        """Return residuals (2n,) or their Jacobian (2n, p) multiplied by C^(-1/2); C is their covariance."""
         whitened: Array = rows - self._B @ (self._half @ (self._Bt @ rows))
         return whitened
 
     def offsets(self, residual: Array) -> Array:
-        """Estimate the displacements of the nodes, metres, from normalised residuals (2n,).
-        Returns an array (largest node index + 1, 3)."""
+        """Return the most probable displacement of each target node, metres, from normalised residuals (2n,).
+        The shape is (largest node index + 1, 3)."""
         offsets: Array = (self._gain @ (self._Bt @ residual)).reshape(-1, 3)
         return offsets
 
@@ -230,8 +238,10 @@ def minimise(
     limit: float | None,
     tolerance: float,
 ) -> tuple[Array, float]:
-    """Minimise Huber's loss from the start x (p,) by the method of Levenberg and Marquardt.
-    Returns x and the residual beyond which the loss is linear: `limit`, or four robust deviations."""
+    """Minimise Huber's loss of the residuals from the start x (p,) by the method of Levenberg and Marquardt.
+    `with_jacobian` returns residuals and their derivatives. The search ends when a step would lower the loss
+    by less than the fraction `tolerance`. Returns x and the residual beyond which the loss is linear:
+    `limit`, or if that is None four robust standard deviations."""
     damping = 1e-4
     diagonal = np.zeros_like(x)
     scale = 0.0
@@ -266,7 +276,7 @@ def minimise(
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of `fit`, the joint fit of all cameras and poses."""
+    """Result of `fit`: cameras, poses of the target and node offsets, with their covariance and residuals."""
 
     geometry: Geometry  # Cameras, poses and node offsets
     layout: ParameterLayout  # Meaning of the p parameters
@@ -286,7 +296,9 @@ def fit(
     placed: Sequence[int] = (),
 ) -> Fit:
     """Fit all cameras and poses of the target to all observations (bundle adjustment with Huber's loss).
-    `target_std`, m, is the uncertainty of node positions; `noise_scale` scales that stated for pixels."""
+    `models` holds the free lens terms of each camera; the poses with the indices `reference` and `placed`
+    stay fixed. `target_std`, m, is the standard uncertainty of node positions; `noise_scale`, the actual over
+    the stated noise of pixels, sets Huber's limit (None: estimated)."""
     o = observations
     plan = layout(o, models, reference, placed)
     start = replace(start, offset=np.zeros_like(start.offset))

@@ -1,7 +1,7 @@
-"""Start values of the joint fit: calibrate each camera alone, compare the results, and use one common frame.
+"""Start values of the joint fit: calibrate each camera alone, compare the results, use one common frame.
 
 `R` and `T` transform from the world to a camera, Xc = R x + T. A pose (R, t) places the target in a camera's
-frame, or one camera's frame in another's.
+frame, or the frame of one camera in that of another. A node is a marked point of the target.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,7 +20,8 @@ Pose = tuple[Array, Array]  # rotation (3, 3), translation (3,), metres
 
 
 def camera_to_camera(a: Pose, b: Pose) -> Pose:
-    """Return the transformation from camera a's frame to b's, from poses of one target in both frames."""
+    """Return the transformation (R, t), metres, from the frame of camera a to that of camera b.
+    `a` and `b` are the poses of the same target in the two frames."""
     (Ra, ta), (Rb, tb) = a, b
     R = Rb @ Ra.T
     return R, tb - R @ ta
@@ -34,7 +35,7 @@ def mean_pose(poses: Iterable[Pose]) -> Pose:
 
 
 def angle_between(A: Array, B: Array) -> float:
-    """Return the angle between two orientations (3, 3), degrees."""
+    """Return the angle of the rotation between two orientations A and B (3, 3), degrees."""
     chord = np.linalg.norm(A - B) / np.sqrt(8.0)
     return float(np.degrees(2.0 * np.arcsin(min(chord, 1.0))))
 
@@ -55,8 +56,9 @@ class SingleCamera:
 
 
 def homography(plan: Array, pixel: Array) -> Array | None:
-    """Fit a homography (3, 3) from positions on a plane (n, 2), m, to pixels (n, 2), without outliers.
-    None if there are fewer than six nodes, if they are on a line, or if fewer than half of them fit."""
+    """Return a homography (3, 3) from points `plan` (n, 2), m, on a plane to pixels (n, 2), without outliers.
+    Returns None if there are fewer than six points, if they are on a line, or if fewer than half of them
+    fit."""
     if len(plan) < 6 or np.linalg.matrix_rank(plan - plan.mean(0), tol=1e-9) < 2:
         return None
     cv2.setRNGSeed(1)
@@ -67,7 +69,8 @@ def homography(plan: Array, pixel: Array) -> Array | None:
 
 
 def focal_length(homographies: list[Array], centre: Array) -> float | None:
-    """Return the focal length, px, from homographies of a plane in several poses (Zhang 2000), or None."""
+    """Return the focal length, px, from homographies of a plane in several poses (Zhang 2000).
+    `centre` (2,) is the principal point, px. Returns None if the poses do not determine the focal length."""
     shift = np.eye(3)
     shift[:2, 2] = -centre
     rows = []
@@ -83,7 +86,8 @@ def focal_length(homographies: list[Array], centre: Array) -> float | None:
 
 
 def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
-    """Return the terms (12,) and the camera matrix (3, 3) of an ideal lens centred on the image."""
+    """Return lens parameters (12,), in the order of `LENS`, and the camera matrix (3, 3) of an ideal lens.
+    The focal length is f, px; the principal point is the centre of an image of `size` (width, height), px."""
     cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
     lens = np.zeros(len(LENS))
     lens[:4] = f, f, cx, cy
@@ -91,7 +95,8 @@ def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
 
 
 def plane_pose(H: Array, K: Array) -> Pose:
-    """Return the pose of a plane from its homography H, metres to pixels, and the camera matrix K."""
+    """Return the pose of a plane in the frame of a camera.
+    H (3, 3) is the homography from metres on the plane to pixels, K (3, 3) the camera matrix."""
     h = np.linalg.solve(K, H)
     h /= 0.5 * (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1]))
     if h[2, 2] < 0.0:  # the plane must be in front of the camera
@@ -102,7 +107,7 @@ def plane_pose(H: Array, K: Array) -> Pose:
 
 
 def calibrate_single(observations: Observations) -> SingleCamera:
-    """Calibrate one camera alone, from Zhang's method or from nodes of known position.
+    """Calibrate one camera alone; the start is Zhang's method or known node positions, if there are any.
     Raises a CalibrationError if the views do not determine the focal length."""
     o = observations
     start, poses = _from_known_heights(o) if o.placed else _from_planes(o)
@@ -115,7 +120,8 @@ def calibrate_single(observations: Observations) -> SingleCamera:
 
 
 def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
-    """Return the geometry of one camera from its lens (12,) and the target's poses in its frame, by index."""
+    """Return the geometry of one camera from `lens` (12,) and poses of the target in the frame of the camera.
+    The keys of `poses` are pose indices. The pose with the smallest index becomes the world frame."""
     pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
     world, origin = poses[min(poses)]
     for p, (R, t) in poses.items():
@@ -124,7 +130,7 @@ def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
 
 
 def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
-    """Start one camera by Zhang's method; return the geometry and the indices of the poses found."""
+    """Return start values of one camera by Zhang's method, and the indices of the poses found."""
     (name,), (size,) = o.cameras, o.sizes
     maps: dict[int, Array] = {}
     depth: dict[int, float] = {}
@@ -158,7 +164,7 @@ def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
 
 
 def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
-    """Start one camera from nodes of known position; return the geometry and indices of the poses found."""
+    """Return start values of one camera from nodes of known position, and the indices of the poses found."""
     (name,), (size,) = o.cameras, o.sizes
     rows = np.isin(o.pose, o.placed)
     points, pixel = o.nominal[o.node[rows]], o.pixel[rows]
@@ -213,12 +219,14 @@ class PoseConsistency:
 
 
 def transforms_by_pose(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
-    """Return, by common pose, the transformation from camera a's frame to b's; equal if the cameras agree."""
+    """Return the transformation from the frame of camera a to that of camera b, by name of each common pose.
+    All of them are equal if the cameras agree."""
     return {pose: camera_to_camera(a.poses[pose], b.poses[pose]) for pose in a.poses if pose in b.poses}
 
 
 def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsistency:
-    """Find views and cameras that contradict the others about the poses of the target (`mesh` in m)."""
+    """Find views and cameras that contradict the others about the poses of the target.
+    `mesh` is the distance between neighbouring target nodes, metres."""
     names = list(cameras)
     pairs = [(a, b) for a, b in combinations(names, 2) if set(cameras[a].poses) & set(cameras[b].poses)]
     unlinked = [name for name in names if not any(name in pair for pair in pairs)] if len(names) > 1 else []
@@ -234,8 +242,9 @@ def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsi
 
 
 def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> dict[str, bool] | None:
-    """Return whether two cameras agree on each common pose; None if they agree on too few of them.
-    With a single common pose they cannot disagree. `mesh` is in metres."""
+    """Return, by pose, whether two cameras agree on it; None if they agree on too few poses to be consistent.
+    The result is empty if the cameras share fewer than two poses, as one alone contradicts nothing. `mesh` is
+    the distance between neighbouring target nodes, metres."""
     common = transforms_by_pose(a, b)
     if len(common) < 2:
         return {}
@@ -253,7 +262,9 @@ def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> dict[str, bo
 def _wrong_views(
     names: Sequence[str], pairs: Mapping[tuple[str, str], Mapping[str, bool]]
 ) -> list[tuple[str, str]]:
-    """Return the views (camera, pose) that no other camera confirms; both if only two cameras saw a pose."""
+    """Return the views (camera, pose) that no other camera confirms; both if only two cameras saw a pose.
+    `pairs` holds, by pair of cameras and by pose, whether the two agree. If several but not all views of a
+    pose are wrong, none of them is returned."""
     comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): agreement with each partner
     for cameras, agreement in pairs.items():
         for pose, good in agreement.items():
@@ -269,7 +280,8 @@ def _wrong_views(
 
 
 def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
-    """Return the camera `name` and all cameras that are linked to it through pairs of agreeing cameras."""
+    """Return the camera `name` and all cameras that are linked to it, directly or through other cameras.
+    `links` are the pairs of cameras that agree."""
     group = [name]
     for member in group:
         partners = [b if a == member else a for a, b in links if member in (a, b)]
@@ -278,7 +290,8 @@ def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) -> Array:
-    """Return the offset (3,), m, across b's sight line between the target's origins that a and b found."""
+    """Return the difference, m, between the target's origins that a and b found, across the sight line of b.
+    R and t transform from the frame of camera a to that of camera b, in which the result (3,) is."""
     expected = R @ a.poses[pose][1] + t
     observed = b.poses[pose][1]
     along = observed / np.linalg.norm(observed)
@@ -293,7 +306,8 @@ def mirrored(camera: SingleCamera) -> SingleCamera:
 
 
 def linked_cameras(cameras: Mapping[str, SingleCamera], first: str) -> dict[str, Pose]:
-    """Return the transformation from the frame of camera `first` to that of each linked camera, by name."""
+    """Return the transformation from the frame of camera `first` to that of each linked camera, by name.
+    Cameras are linked if they saw the same poses of the target, directly or through other cameras."""
     out: dict[str, Pose] = {first: (np.eye(3), np.zeros(3))}
     while True:
         rest = [b for b in cameras if b not in out]
@@ -308,15 +322,16 @@ def linked_cameras(cameras: Mapping[str, SingleCamera], first: str) -> dict[str,
 
 @dataclass(frozen=True)
 class PhysicalFrame:
-    """Indices of the poses of the target that define the physical frame."""
+    """The poses of the target, by index, that define z = 0 and the axes of the rig."""
 
     reference: int  # The pose whose axes are those of the frame
-    placed: tuple[int, ...] = ()  # Poses whose nodes have known positions in the frame
+    placed: tuple[int, ...] = ()  # Poses whose nodes have known positions in this frame
     level: bool = True  # Whether these poses define z = 0
 
 
 def physical_frame(observations: Observations, flat: str, findings: Findings) -> PhysicalFrame:
-    """Choose the poses that define the frame: those of known position, `flat`, or the most seen one."""
+    """Choose poses that define the rig's frame: those of known position, or else `flat`, or the most seen.
+    `flat` is the name of the pose on z = 0, or empty. If it is not found, that is recorded in `findings`."""
     o = observations
     if o.placed:
         return PhysicalFrame(o.placed[0], placed=o.placed)
@@ -338,7 +353,8 @@ def physical_frame(observations: Observations, flat: str, findings: Findings) ->
 def start_geometry(
     observations: Observations, single: Mapping[str, SingleCamera], frame: PhysicalFrame
 ) -> Geometry:
-    """Return all cameras and poses of the target in the physical frame, as start values of the joint fit."""
+    """Return all cameras and poses of the target in the rig's common frame, as start values of the joint fit.
+    `single` holds the cameras calibrated alone, by name."""
     o = observations
     reference = o.poses[frame.reference]
     first = max(single, key=lambda n: (reference in single[n].poses, len(single[n].poses)))

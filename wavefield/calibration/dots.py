@@ -31,7 +31,8 @@ MAX_WEIGHT = 0.8  # of a dot's brightness: brighter pixels have equal weight, as
 
 
 def find_blobs(image: Image) -> tuple[Array, Array]:
-    """Return centroids (n, 2), px, and areas (n,), px^2, of nearly elliptic bright shapes not at the edge."""
+    """Return centroids (n, 2), px, and areas (n,), px^2, of bright, nearly elliptic shapes in an image.
+    Shapes that touch the edge of the image are left out."""
     ground = cv2.blur(image, (2 * (max(image.shape) // 16) + 1,) * 2)
     binary = (cv2.GaussianBlur(image, (0, 0), 1.0) > ground + 0.15 * np.std(image)).astype(np.uint8)
     height, width = image.shape
@@ -52,7 +53,8 @@ def find_blobs(image: Image) -> tuple[Array, Array]:
 
 
 def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
-    """Return the centroids (n, 2), px, of bright dots in uneven light, and their noise (n,), px."""
+    """Return the centroids (n, 2), px, of bright dots in uneven light, and the noise (n,) of each, px.
+    `node` (n, 2) are the indices of the dots in their grid, `pixel` (n, 2) their approximate positions."""
     windows = _windows(image, node, pixel)
     level = np.array([np.percentile(value, [10, 98]) for _, _, value in windows])
     middle, extent = pixel.mean(0), np.ptp(pixel)
@@ -82,7 +84,9 @@ def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
 
 
 def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes, Array]]:
-    """Return columns, rows and grey values of the pixels within half a mesh of each dot."""
+    """Return, for each dot, the columns, rows and grey values (m,) of the pixels around it.
+    They are less than half the distance to the neighbouring dots away. `pixel` (n, 2) are positions of
+    dots."""
     half_mesh = 0.5 * SmoothMap(node, pixel).slopes(node)
     inverse = np.linalg.inv(np.moveaxis(half_mesh, 1, 2))
     reach = np.ceil(np.abs(half_mesh).sum(1)).astype(int)
@@ -99,7 +103,8 @@ def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes
 
 
 def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
-    """Return the connected part of a mask (n,) nearest to the point `at`, dilated by three pixels."""
+    """Return the connected part of a mask (n,) nearest to the point `at`, dilated by three pixels.
+    x and y (n,) are the columns and rows of the mask's pixels."""
     row, column = y - y.min() + 4, x - x.min() + 4
     raster = np.zeros((row.max() + 5, column.max() + 5), np.uint8)
     raster[row, column] = mask
@@ -111,8 +116,8 @@ def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
 
 
 def centroid_bias(node: Nodes, pixel: Array, radius: float) -> Array:
-    """Return the centroid of a round dot in perspective minus the image of its centre, (n, 2), px.
-    `radius` is the radius of a dot in meshes."""
+    """Return, for each dot, its centroid in perspective minus the image of its centre, (n, 2), px.
+    `radius` is the radius of a dot in units of the distance between neighbouring dots."""
     smooth = SmoothMap(node, pixel)
     rings, spokes = 4, 12
     r = radius * np.sqrt((np.arange(rings) + 0.5) / rings)  # rings of equal area
@@ -126,7 +131,7 @@ def centroid_bias(node: Nodes, pixel: Array, radius: float) -> Array:
 
 
 def shape_of(target: Target) -> tuple[int, int]:
-    """Return the number of nodes of the target along x and y."""
+    """Return the number of target nodes along x and y."""
     assert target.shape is not None  # `Target` requires the shape for the kinds that call this
     return target.shape
 
@@ -134,8 +139,9 @@ def shape_of(target: Target) -> tuple[int, int]:
 def number_right_handed(
     image: Image | None, node: Nodes, pixel: Array, shape: tuple[int, int]
 ) -> tuple[Nodes, tuple[str, ...]]:
-    """Number a complete grid right-handed seen from above, x to the right if several ways remain.
-    `image` is given only for a chessboard, where the square between (0, 0) and (1, 1) is dark."""
+    """Renumber the nodes of a complete grid right-handed seen from above; return indices (n, 2) and notes.
+    If several numberings remain, x is to the right in the image. `image` is given only for a chessboard,
+    where the square between nodes (0, 0) and (1, 1) is dark."""
     last = np.array(shape) - 1
     if cross(*SmoothMap(node, pixel).slopes(last[None] / 2)[0]) > 0:
         node = np.stack([node[:, 0], last[1] - node[:, 1]], -1)
@@ -159,7 +165,8 @@ def number_right_handed(
 
 
 def _first_square_dark(image: Image, node: Nodes, pixel: Array, shape: tuple[int, int]) -> bool:
-    """Return whether the square of a chessboard between nodes (0, 0) and (1, 1) is dark."""
+    """Return whether the square of a chessboard between nodes (0, 0) and (1, 1) is dark.
+    `shape` is the number of inner corners along x and y."""
     a, b = (v.ravel() for v in np.meshgrid(np.arange(shape[0] - 1), np.arange(shape[1] - 1)))
     x, y = np.rint(SmoothMap(node, pixel)(np.stack([a, b], -1) + 0.5)).astype(int).T
     height, width = image.shape
@@ -171,8 +178,9 @@ def _first_square_dark(image: Image, node: Nodes, pixel: Array, shape: tuple[int
 def dot_centres(
     image: Image, node: Nodes, pixel: Array, target: Target, meshes: int = 1
 ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return centres (n, 2), px, corrected for perspective if the diameter is known, their noise (n,), and
-    notes. `meshes` is the distance of dots whose indices differ by one."""
+    """Return the centres (n, 2) of dots, px, their noise (n,), px, and notes for the user.
+    If the target states the dots' diameter, centres are corrected for perspective. `meshes` is the distance
+    between neighbouring dots of `node`, in units of the target's `mesh`."""
     centre, noise = centroids(image, meshes * node, pixel)  # with windows of one mesh
     if target.diameter is None:
         return centre, noise, ("centroids not corrected for perspective: state the target's diameter",)
@@ -183,8 +191,8 @@ def dot_centres(
 def make_points(
     image: Image, node: Nodes, pixel: Array, notes: tuple[str, ...] = (), noise: Array | float = 0.0
 ) -> TargetPoints:
-    """Make target points without outliers; std is at least `noise`, px, and the scatter about a smooth
-    map."""
+    """Make target points from node indices and pixels, without those far from a smooth map between the two.
+    The uncertainty of each is at least `noise`, px, and at least the scatter of all about the map."""
     smooth = SmoothMap(node, pixel)
     free = max(len(node) - 4 - len(smooth.powers), 1)
     limited = np.minimum(smooth.misfit, OUTLIER_DEVIATIONS * smooth.spread)
@@ -214,7 +222,8 @@ def find_dots(image: Image, target: Target) -> TargetPoints:
 
 
 def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> tuple[Nodes, tuple[str, ...]]:
-    """Number the dots of a complete grid from the numbers of dots along x and y; return indices and notes."""
+    """Number the dots of a complete grid with `shape` dots along x and y; return indices (n, 2) and notes.
+    Raises a CalibrationError if the grid has another shape."""
     node = node - node.min(0)
     span = node.max(0) + 1
     if sorted(span) != sorted(shape) or len(node) != np.prod(shape):
@@ -228,7 +237,9 @@ def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> t
 
 
 def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:
-    """Return the largest lattice that grows from a dot near the middle; None if all are too small."""
+    """Return the largest grid of dots that grows from a dot near the middle; None if all are too small.
+    `centre` (n, 2), px, and `area` (n,), px^2, belong to bright shapes; `size` is the image's (width,
+    height)."""
     if len(centre) < LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)

@@ -1,7 +1,8 @@
-"""Order marks of an image as a lattice of nodes, and fit a smooth map from node indices to pixels.
+"""Order marks in the image of a target as a grid of nodes, and fit a smooth map from indices to pixels.
 
-A lattice grows from a seed, one node with its two mesh vectors, by one ring of neighbours after another. A
-mesh vector is the step in the image, px, from a node to the next along i or j.
+A node is a string crossing or a dot with indices (i, j). A lattice, the grid of nodes found so far, grows
+from a seed, one node with its two mesh vectors, by one ring of neighbours after another. A mesh vector is the
+step in the image, px, from a node to the next along i or j.
 """
 
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ WINDOW = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3), indexing="ij")
 
 @dataclass(frozen=True)
 class Candidates:
-    """Points of an image that may be nodes: crossings of bright strings, or dots."""
+    """Points of an image that may be nodes of a target: crossings of bright strings, or dots."""
 
     pixel: Array  # (n, 2): Positions (X, Y), px
     strength: Array  # (n,): Curvature across the weaker string, grey per px^2; of a dot its area, px^2
@@ -46,8 +47,9 @@ def _typical_strength(strength: Array) -> float:
 
 
 def crossings(image: Image, scale: float) -> Candidates:
-    """Find maxima of the weaker principal curvature of an image smoothed with a Gaussian of `scale` px.
-    Along a line this curvature vanishes; only crossings and blobs are curved in both directions."""
+    """Find crossings of bright strings: maxima of the weaker principal curvature of a smoothed image.
+    Along a string this curvature vanishes; only crossings and bright spots are curved in both directions.
+    `scale` is the standard deviation of the Gaussian that smooths the image, px."""
     r = int(np.ceil(4 * scale))
     t = np.arange(-r, r + 1)
     g0 = np.exp(-0.5 * (t / scale) ** 2)
@@ -79,7 +81,8 @@ def crossings(image: Image, scale: float) -> Candidates:
 
 @compiled()
 def _weaker_curvature(xx: Image, yy: Image, xy: Image) -> Image:
-    """Return the weaker principal curvature of each pixel from second derivatives; positive if bright."""
+    """Return the weaker principal curvature of each pixel from the second derivatives `xx`, `yy` and `xy`.
+    It is positive where the pixel is brighter than its surroundings in all directions."""
     half = np.float32(0.5)
     out = np.empty_like(xx)
     for i in range(xx.shape[0]):
@@ -95,7 +98,7 @@ def cross(a: Array, b: Array) -> float:
 
 
 def independent_pair(arms: Array) -> tuple[Array, Array] | None:
-    """Return the first two of the vectors (n, 2) that are not nearly parallel; None if all are."""
+    """Return the first two of the vectors `arms` (n, 2) that are not nearly parallel, or None."""
     for k, a in enumerate(arms):
         for b in arms[k + 1 :]:
             if abs(cross(a, b)) > MIN_SINE * np.hypot(*a) * np.hypot(*b):
@@ -110,19 +113,22 @@ def most_central(points: Array, count: int) -> list[int]:
 
 
 def around(node: Nodes, steps: Nodes) -> Nodes:
-    """Return all different nodes (k, 2) that are one of the steps (m, 2) away from the nodes (n, 2)."""
+    """Return the indices (k, 2) that one of the `steps` (m, 2) from one of the nodes (n, 2) leads to.
+    Each is returned once."""
     return np.unique((node[:, None] + steps).reshape(-1, 2), axis=0)
 
 
 def _windows(table: Array, node: Nodes) -> Array:
-    """Return the entries of a table within two indices of each node (m, 2), as (m, 25, ...)."""
+    """Return the entries of `table` within two indices of each node (m, 2), as (m, 25, ...).
+    The entry of the node with the indices (i, j) is ``table[i + REACH, j + REACH]``."""
     index = node[:, None] + WINDOW + REACH
     out: Array = table[index[..., 0], index[..., 1]]
     return out
 
 
 class TargetLattice:
-    """A lattice of nodes with their pixels that grows from a node at `start` (2,) with steps e1, e2, px."""
+    """The nodes of a target found in one image, with indices and pixels. It grows from one node outwards.
+    That node is at `start` (2,), px; e1 and e2 (2,), px, are the steps from it to the next along i and j."""
 
     def __init__(self, start: Array, e1: Array, e2: Array) -> None:
         self.place = np.full((2 * REACH + 1, 2 * REACH + 1, 2), np.nan)  # [i + REACH, j + REACH], px
@@ -140,7 +146,7 @@ class TargetLattice:
 
     @property
     def node(self) -> Nodes:
-        """Indices (i, j) of the nodes found, (n, 2)."""
+        """Indices (i, j) of the nodes found, (n, 2), relative to the first node."""
         return np.argwhere(self.filled) - REACH
 
     @property
@@ -150,13 +156,14 @@ class TargetLattice:
         return out
 
     def front(self) -> Nodes:
-        """Return the indices (m, 2) of the nodes that are not found yet but have a neighbour that is."""
+        """Return the indices (m, 2) of the nodes that are not found yet but are next to one that is."""
         near = cv2.dilate(self.filled.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
         empty = np.argwhere((near > 0) & ~self.filled)
         return empty[((empty >= 2) & (empty < 2 * REACH - 1)).all(1)] - REACH
 
     def predict(self, node: Nodes) -> tuple[Array, Array]:
-        """Predict pixels (m, 2) and mesh vectors (m, 2, 2), px, of nodes from those nearby."""
+        """Predict pixels (m, 2) of nodes (m, 2), and steps to the next node (m, 2, 2), px, from nodes nearby.
+        The steps [:, 0] are along i, the steps [:, 1] along j."""
         di, dj = WINDOW.astype(float).T
         basis = np.stack([np.ones(25), di, dj, di * dj, di * di, dj * dj], -1)
         window = _windows(self.place, node)  # (m, 25, 2)
@@ -171,7 +178,8 @@ class TargetLattice:
         return fit[:, 0], fit[:, 1:3]
 
     def grow(self, candidates: Candidates, size: tuple[int, ...]) -> None:
-        """Add the candidates near predicted nodes until none is left; `size` is (width, height), px."""
+        """Add candidates near the predicted pixels of neighbouring nodes, ring by ring, until none fits.
+        `size` is the (width, height) of the image, px."""
         tree = cKDTree(candidates.pixel)
         used = np.zeros(len(candidates.pixel) + 1, bool)
         used[-1] = True  # the tree's index for "none"
@@ -211,8 +219,9 @@ MIN_NODES_FOR_CUBIC = 40  # four times the ten coefficients of a cubic
 
 
 class SmoothMap:
-    """A smooth map from node indices (n, 2) to pixels (n, 2): a homography and, for many nodes, a cubic.
-    Outliers have little weight. Raises a CalibrationError if no homography fits the nodes."""
+    """A smooth map from node indices (n, 2) to pixels (n, 2): a homography plus a polynomial of the pixel.
+    The polynomial is cubic, or linear for fewer than 40 nodes. Outliers have little weight. Raises a
+    CalibrationError if no homography fits the nodes."""
 
     def __init__(self, node: ArrayLike, pixel: ArrayLike) -> None:
         node, pixel = np.asarray(node, float), np.asarray(pixel, float)
@@ -240,7 +249,8 @@ class SmoothMap:
         self.spread = spread(self.misfit)  # px
 
     def inlier(self, std: Array | float = 0.0) -> Mask:
-        """Return a mask (n,) of the fitted nodes that are not outliers; `std` is that of their pixels, px."""
+        """Return a mask (n,): true for the fitted nodes that are near the map.
+        `std` is the standard uncertainty of the nodes' pixels, px."""
         out: Mask = self.misfit < np.maximum(OUTLIER_DEVIATIONS * np.hypot(self.spread, std), MIN_OUTLIER_PX)
         return out
 
@@ -260,13 +270,15 @@ class SmoothMap:
         return out
 
     def slopes(self, node: ArrayLike) -> Array:
-        """Return the mesh vectors at nodes (n, 2), px, as (n, 2, 2): [:, 0] along i, [:, 1] along j."""
+        """Return the steps in the image to the next node, px, at nodes (n, 2), as (n, 2, 2).
+        The steps [:, 0] are along the index i, the steps [:, 1] along j."""
         node = np.asarray(node, float)
         return np.stack([self(node + half) - self(node - half) for half in 0.5 * np.eye(2)], 1)
 
 
 def mesh_length(node: Nodes, pixel: Array) -> float:
-    """Return the first percentile of distances between neighbouring nodes, px; 4 if there are none."""
+    """Return the first percentile of the distances between neighbouring nodes, px; 4 if none are neighbours.
+    `node` (n, 2) are indices, `pixel` (n, 2) positions in the image."""
     distance, near = cKDTree(node).query(node, k=5, distance_upper_bound=1.01)
     a, b = np.nonzero(np.isfinite(distance) & (distance > 0))
     if not len(a):

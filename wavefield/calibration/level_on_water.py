@@ -1,7 +1,7 @@
-"""Bring z = 0 to the mean surface of moving water, and place a second camera, from an experiment's images.
+"""Bring z = 0 to the mean surface of moving water, and find the pose of a second camera, from images.
 
-Levelling turns and shifts the physical frame. The level comes from the horizon if the images show it, and
-else from the mean surface of many instants.
+Levelling turns and shifts the frame of the rig. The vertical comes from the horizon if the images show it,
+and else from the mean surface of many instants. Matches are pixels of the same features in two cameras.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -33,13 +33,13 @@ TILT_STD = 1.0  # degrees, of the mean surface, if the instants are too few to d
 
 @dataclass(frozen=True)
 class Levelled:
-    """Result of levelling: a rig with z = 0 on the mean surface of the water, and its uncertainties."""
+    """Result of levelling: a rig with z = 0 on the mean surface of the water, and uncertainties."""
 
     rig: Rig  # z = 0 on the mean surface, z up
     tilt: float  # Angle by which the z axis was turned, degrees
-    tilt_std: float  # Standard uncertainty of the tilt; NaN of one instant without a horizon
+    tilt_std: float  # Standard uncertainty of the tilt; NaN for one instant without a horizon
     height: float  # Height of the first camera above the mean surface, metres
-    height_std: float  # Without the error of a stated distance; NaN of one instant
+    height_std: float  # Excludes the error of the given distance; NaN for one instant
     rms: float  # Rms elevation of the points about the mean surface, metres
     epipolar_error: float  # Median distance of the matches from their epipolar lines, px
     points: int  # Number of points used
@@ -48,7 +48,7 @@ class Levelled:
 
     @property
     def sentence(self) -> str:
-        """The result in words, for the user."""
+        """The tilt, the height and the misfit of sight lines in words, for the user."""
         height = spell_uncertain(self.height, self.height_std, "m")
         turned = spell_uncertain(self.tilt, self.tilt_std, "degrees")
         return (
@@ -61,7 +61,7 @@ class Levelled:
 
     @property
     def _unknown(self) -> str:
-        """A clause that names the unknown uncertainties; empty if all are known."""
+        """A clause that names the uncertainties that are unknown; empty if all are known."""
         if np.isfinite(self.height_std):
             return ""
         which = "height" if np.isfinite(self.tilt_std) else "tilt and the height"
@@ -74,9 +74,10 @@ def level_on_water(
     horizons: Mapping[str, Array] | None = None,
     distance: float | None = None,
 ) -> Levelled:
-    """Bring z = 0 to the mean surface of moving water; `matches` holds, per instant, pixels by pair of
-    cameras. With a `distance` of two cameras, m, the second one is placed too, and the origin is below
-    them."""
+    """Bring z = 0 to the mean surface of moving water, by matched features and, if given, the horizon.
+    `matches` holds matched pixels by pair of cameras, for each instant; `horizons` holds points of the
+    horizon (n, 2), px, by camera. If the `distance` between two cameras, m, is given, the pose of the second
+    is fitted too, and the origin is on the water below the midpoint between them."""
     none = np.empty((0, 3))
     surfaces = [
         np.concatenate([none, *(points_of(rig[a], rig[b], pixels) for (a, b), pixels in by_pair.items())])
@@ -138,8 +139,9 @@ def _best_fit(
     horizons: Mapping[str, Array],
     distance: float | None,
 ) -> tuple[PlatformFit, tuple[float, float], str]:
-    """Fit the mean surface, and the horizon if it agrees; return the fit, the std of tilt and height, and a
-    sentence on what gave the level."""
+    """Fit the mean surface, and the horizon too if it agrees with the mean surface.
+    Returns the fit, the standard uncertainties of tilt (degrees) and height (m), and a sentence on what gave
+    the level. `horizons` holds points (n, 2), px, by camera; `distance`, m, is between two cameras."""
     free = fit_platform(start, matches, {}, distance)
     std = jackknife_std(free, matches, {}, distance)
     if not horizons:
@@ -157,7 +159,8 @@ def _best_fit(
 
 
 def _epipolar_error(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> float:
-    """Return the median distance of matches from their epipolar lines, px, without outliers."""
+    """Return the median distance of matches from their epipolar lines, px, without outliers.
+    `matches` holds matched pixels by pair of cameras, for each instant."""
     distances = [
         epipolar_distance(rig[a], rig[b], *p.T, *q.T)
         for by_pair in matches
@@ -188,8 +191,8 @@ def level_experiment(
     rig : path, optional
         A rig to use instead of the experiment's. Its frame is arbitrary, for example that of a camera.
     distance : float, optional
-        Distance between the two cameras, metres. If it is given, matched features give the second camera's
-        pose, and the rig's own pose is ignored.
+        Distance between the two cameras, metres. If it is given, the pose of the second camera relative to
+        the first comes from matched features; its pose in the rig is ignored.
     frames : int
         Number of instants to use, spread over the record.
     progress : callable, optional
@@ -203,7 +206,8 @@ def level_experiment(
     Raises
     ------
     RigError
-        If too few features match, or if all cameras are at one position and no distance is given.
+        If too few features match, if no distance is given but cameras are at the same position, or if it is
+        given for a rig that does not have two cameras.
 
     Examples
     --------

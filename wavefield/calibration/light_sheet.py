@@ -1,7 +1,8 @@
 """Find the plane of a light sheet from images of the particles in it (self-calibration of stereo PIV).
 
-The images are dewarped onto z = 0. If the sheet is elsewhere, the dewarped images of two cameras are shifted
-against each other; this shift is the disparity. Correlations in windows, summed over instants, measure it.
+The images are dewarped: resampled onto z = 0. If the sheet is elsewhere, the dewarped images of two cameras
+are shifted against each other; this shift is the disparity. Correlations in windows, summed over instants,
+measure it.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,7 +34,8 @@ PEAK_LEVEL = 0.5  # of the maximum; correlations above it belong to the peak
 
 
 def particles(image: Image, visible: Mask) -> Image:
-    """Remove the illumination from an image, scale it to unit variance, and clip bright particles."""
+    """Remove the illumination from an image, scale it to unit variance, and clip bright particles.
+    Pixels outside the mask `visible` are ignored and become zero."""
     weight = cv2.GaussianBlur(visible.astype(np.float32), (0, 0), LIGHT_SCALE)
     light = cv2.GaussianBlur(np.where(visible, image, np.float32(0)), (0, 0), LIGHT_SCALE)
     rest = np.where(visible, image - light / np.maximum(weight, 1e-3), np.float32(0))
@@ -60,7 +62,7 @@ class Correlation:
         self._taper = np.sqrt(np.outer(edge, edge)).astype(np.float32)
 
     def add(self, a: Image, b: Image) -> None:
-        """Add the two cameras' images of one instant, as `particles` returns them."""
+        """Add the correlation of two cameras at one instant; a and b are images from `particles`."""
         for i, row in enumerate(self.rows):
             lines = slice(row, row + self.side)
             pieces = np.stack([[q[lines, c : c + self.side] for c in self.columns] for q in (a, b)])
@@ -68,15 +70,16 @@ class Correlation:
             self._sum[i] += np.conj(spectrum[0]) * spectrum[1]
 
     def disparities(self) -> Array:
-        """Return the displacement of the second image in each window, (n, m, 2), px along x and y.
-        Windows without a clear peak are NaN."""
+        """Return the shift of the second camera's image against the first in each window, (n, m, 2), px.
+        The last axis is x, y. Windows without a clear peak are NaN."""
         planes = scipy.fft.fftshift(scipy.fft.irfft2(self._sum, s=(self.side, self.side)), axes=(-2, -1))
         smooth = [cv2.GaussianBlur(one, (0, 0), SMOOTHING) for one in planes.reshape(-1, *planes.shape[-2:])]
         return np.array([_centre(np.asarray(one)) for one in smooth]).reshape(*planes.shape[:2], 2)
 
 
 def _centre(plane: Image) -> tuple[float, float]:
-    """Return the displacement (x, y) of the correlation peak, px; NaN if insignificant or at the edge."""
+    """Return the position (x, y), px, of the peak of a correlation `plane` relative to zero shift.
+    It is NaN if the peak is insignificant or at the edge."""
     middle, peak = plane.shape[0] // 2, _peak(plane)
     background = plane[~cv2.dilate(peak.view(np.uint8), np.ones((9, 9), np.uint8)).view(bool)]
     if not background.size or plane.max() - np.median(background) < OUTLIER_DEVIATIONS * background.std():
@@ -99,7 +102,8 @@ Read = Callable[[str, int], NDArray[np.generic] | None]  # reads the image of a 
 
 
 class SheetWindows:
-    """Measures the disparity of each pair of cameras in windows of `side` px of the dewarped images."""
+    """Measures how dewarped images of two cameras are shifted, in windows of `side` px, for each pair.
+    The images are those that `read` returns for the frame numbers `instants`."""
 
     def __init__(self, rig: Rig, side: int, read: Read, instants: Sequence[int]) -> None:
         self.rig = rig
@@ -122,7 +126,7 @@ class SheetWindows:
         self._disparities = {pair: total.disparities() for pair, total in self._correlations.items()}
 
     def _add(self, read: Read, instants: Sequence[int], x: Array, y: Array) -> int:
-        """Add the correlations of all instants at dewarped pixels x, y, m; return the number used."""
+        """Add the correlations of all instants, from images resampled to x, y, m; return the number used."""
         maps = {name: sight_map(self.rig[name], x, y) for name in self.rig}
         used = 0
         for k in instants:
@@ -138,7 +142,7 @@ class SheetWindows:
         return used
 
     def matches(self) -> dict[str, Array]:
-        """Return, by camera, the pixels (windows, 2) of the same particles; NaN where unknown."""
+        """Return the pixels (windows, 2) where each camera sees the particles of a window; NaN if unknown."""
         reference = self.pairs[0][0]
         out = {reference: self._pixels(reference, np.zeros((*self.x.shape, 2)))}
         out |= {name: self._pixels(name, shift) for (_, name), shift in self._disparities.items()}
@@ -149,7 +153,7 @@ class SheetWindows:
         return np.stack(self.rig[name].project(self.x + dx, self.y + dy, 0.0), axis=-1).reshape(-1, 2)
 
     def rms(self) -> float:
-        """Return the rms disparity of all pairs and windows, px."""
+        """Return the rms disparity of all pairs and windows, in pixels of the dewarped images."""
         squares = [np.sum(np.square(shift), axis=-1) for shift in self._disparities.values()]
         return float(np.sqrt(np.nanmean(squares)))
 
@@ -175,7 +179,7 @@ class LightSheet:
 
     @property
     def sentence(self) -> str:
-        """The result in words, for the user."""
+        """The sheet's position, the disparities and cameras that moved, in words for the user."""
         x, y = (1e3 * part for part in self.slope)
         return (
             f"light sheet: {1e3 * self.height:+.3f} mm at the origin, slope {x:+.2f}, {y:+.2f} mrad along "
@@ -248,7 +252,8 @@ def fit_sheet(
     read: Read, instants: Sequence[int], rig: Rig, progress: Callable[[int, int], None] | None = None
 ) -> LightSheet:
     """Find the light sheet from images of particles (Wieneke 2005, Exp. Fluids 39, 267).
-    Each of three passes measures the disparity, corrects the cameras, and moves z = 0 to the sheet."""
+    `read` returns the image of a camera at a frame number, and `instants` are the numbers to use. Each of
+    three passes measures the disparity, corrects the cameras, and moves z = 0 to the sheet."""
     axes, origin, ambiguity = np.eye(3), np.zeros(3), 0.0
     check: RigCheck | None = None
     before = float("nan")

@@ -1,4 +1,4 @@
-"""Predict the errors of a fitted rig in z and in pixels, and choose the camera model by them."""
+"""Predict how uncertain a calibration makes projected pixels and z, and choose the camera model by it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -16,16 +16,19 @@ CELLS = 8  # along each side of an image; the coverage is the fraction of cells 
 
 @dataclass(frozen=True)
 class PredictedErrors:
-    """Predicted standard uncertainties of pixels and of z in the volume where the rig will be used."""
+    """Standard uncertainties of projected positions and of z that are due to the calibration.
+    They hold in the volume where the rig will be used."""
 
-    reprojection: Mapping[str, float]  # Of a pixel of each camera, px, rms over the volume and both axes
+    reprojection: Mapping[str, float]  # Of a projected point, px, by camera; rms over volume and axes
     z_std: float  # Of z, metres, rms over the volume; NaN for one camera
     coverage: Mapping[str, float]  # Fraction of each image's cells with a node in any view
     volume: str = "near z = 0"  # The volume, in words
 
 
 def predict_errors(observations: Observations, result: Fit, level: bool = True) -> PredictedErrors:
-    """Propagate the covariance of the fit to pixels and z, near z = 0, or at the target if not `level`."""
+    """Propagate the covariance of the fitted parameters to projected positions and to z.
+    The uncertainties hold near z = 0 where all cameras see it or, if not `level`, at the observed target
+    nodes."""
     o = observations
     points = volume_points(o, result, level)
     _, J, by_point = project_points(o, result, points)
@@ -51,8 +54,8 @@ def predict_errors(observations: Observations, result: Fit, level: bool = True) 
 
 
 def project_points(observations: Observations, result: Fit, points: Array) -> tuple[Array, Array, Array]:
-    """Project points (n, 3), metres, with all cameras: pixels (C, n, 2) and derivatives.
-    The derivatives are by parameter (C, n, 2, p) and by position of the point (C, n, 2, 3), px/m."""
+    """Return the pixels (C, n, 2) of points (n, 3), metres, in all C cameras, and two kinds of derivatives.
+    These are by parameter of the fit, (C, n, 2, p), and by position of the point, (C, n, 2, 3), px/m."""
     o = observations
     C, n = len(o.cameras), len(points)
     # treat the points as a target whose pose is fixed in the physical frame
@@ -64,7 +67,8 @@ def project_points(observations: Observations, result: Fit, points: Array) -> tu
 
 
 def volume_points(o: Observations, result: Fit, level: bool) -> Array:
-    """Return points (n, 3), m, near z = 0 in the common field, or the target's nodes if not `level`."""
+    """Return points (n, 3), m, in the volume where the rig will be used: near z = 0 in the common field.
+    If not `level`, they are observed target nodes."""
     g = result.geometry
     if not level:
         world = g.world(o)
@@ -92,7 +96,8 @@ EQUIVALENT_RATIO = 1.05  # of expected errors; below it, the model with fewer pa
 
 
 def terms_of(model: str) -> tuple[str, ...] | None:
-    """Split a camera model such as ``f tilt k1`` into its free terms; None for ``auto``."""
+    """Split a camera model such as ``f tilt k1`` into its free terms; return None for ``auto``.
+    Raises a CalibrationError for an unknown term, or if f is missing."""
     terms = tuple(model.split())
     if terms == ("auto",):
         return None
@@ -109,7 +114,9 @@ def choose_model(
     level: bool,
 ) -> tuple[str, Fit]:
     """Return the camera model with the least expected error where the rig will be used, and its fit.
-    If expected errors differ by less than 5 %, the model with the fewest parameters is taken."""
+    `fit_model` fits the rig with given free terms. The rig will be used near z = 0 or, if not `level`, near
+    the target nodes. If expected errors differ by less than 5 %, the model with fewest parameters is
+    taken."""
     o, count = observations, 2 * len(observations)
     fits = {name: fit_model(tuple(name.split())) for name in CANDIDATES}
 
@@ -127,7 +134,8 @@ def choose_model(
 
 
 def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: Array) -> dict[str, float]:
-    """Return each model's expected rms error of a pixel, px: variance, and bias from `reference`."""
+    """Return the expected rms error of projected points (n, 3), px, by model: the variance plus squared bias.
+    The bias is the difference from the model `reference`, less what noise explains."""
     pixel: dict[str, Array] = {}
     variance: dict[str, float] = {}
     for name, f in fits.items():

@@ -18,11 +18,11 @@ from wavefield.rig.lens import LENS, Array
 
 @dataclass(frozen=True)
 class CalibrationLimits:
-    """Limits against which a calibration is checked."""
+    """Limits of a usable calibration: nodes per view, tilts, predicted errors, distances and coverage."""
 
     min_nodes: int = 12  # in a view: 24 coordinates, three times the parameters of a homography
     min_tilt_range: float = 10.0  # degrees between a camera's views; below it the focal length is uncertain
-    max_reprojection_std: float = 0.3  # px: predicted uncertainty of a pixel where the rig will be used
+    max_reprojection_std: float = 0.3  # px: predicted for projected points where the rig will be used
     max_z_std: float = 1e-3  # m: predicted uncertainty of z there
     max_distance_error: float = 0.05  # relative, of a camera's distance from the origin measured by hand
     min_coverage: float = 0.4  # fraction of an image that the target covers; below it a note is made
@@ -44,7 +44,7 @@ class Findings:
     left_out: dict[str, int] = field(default_factory=dict)  # Points left out, by view ("camera pose")
 
     def leave_out(self, camera: str, pose: str, points: int, reason: str = "") -> None:
-        """Record that `points` points of a view are left out, and add a note if a reason is given."""
+        """Record that a number `points` of points of a view are left out; add a note if a reason is given."""
         view = f"{camera} {pose}"
         self.left_out[view] = self.left_out.get(view, 0) + points
         if reason:
@@ -72,7 +72,7 @@ class Observations:
         return len(self.camera)
 
     def only(self, keep: Mask) -> "Observations":
-        """Return the observations that a mask (n,) selects, with all names and nodes."""
+        """Return a copy with the observations that a mask (n,) selects, and all names and nodes."""
         parts = {key: getattr(self, key)[keep] for key in ("camera", "pose", "node", "pixel", "std")}
         return replace(self, **parts)
 
@@ -80,7 +80,8 @@ class Observations:
     def of_points(
         cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], poses: tuple[str, ...], count: int
     ) -> "Observations":
-        """Make observations of `count` points by every camera; `Geometry.offset` holds the positions."""
+        """Return observations of `count` points by every camera, all in the last pose, to predict the pixels.
+        Nominal positions are zero: give the positions of the points as `Geometry.offset`."""
         n = len(cameras) * count
         return Observations(
             cameras,
@@ -100,7 +101,9 @@ class Observations:
 def collect(
     views: Mapping[str, Mapping[str, TargetPoints]], mesh: float, origin: tuple[float, float] = (0.0, 0.0)
 ) -> Observations:
-    """Join the target points of all views; `mesh` and `origin` (position of node (0, 0)) are in metres."""
+    """Join the target points of all views. `views` holds them by camera, then by pose of the target.
+    `mesh` is the distance between neighbouring nodes, `origin` the position (x, y) of node (0, 0), both in
+    metres."""
     cameras = tuple(views)
     poses = tuple(dict.fromkeys(pose for by_pose in views.values() for pose in by_pose))
     rows = [
@@ -156,7 +159,7 @@ class Geometry:
         )
 
     def world(self, observations: Observations) -> Array:
-        """Return the position of the node of each observation in the world, (n, 3), metres."""
+        """Return the position in the world of the node of each observation, (n, 3), metres."""
         points = (observations.nominal + self.offset)[observations.node]
         pose = observations.pose
         world: Array = np.einsum("nij,nj->ni", self.pose_R[pose], points) + self.pose_t[pose]
@@ -164,7 +167,8 @@ class Geometry:
 
 
 def common_extent(cameras: Sequence[Camera], nominal: Array) -> tuple[Array, Array]:
-    """Return the corners (x, y), m, of the field on z = 0 that all cameras see, or else of the nodes."""
+    """Return the lower and upper corners (x, y), m, of the rectangle on z = 0 that all cameras see.
+    If there is none, return those of the rectangle that holds the target nodes `nominal` (N, 3)."""
     try:
         views = [view_on_water(camera) for camera in cameras]
     except RigError:  # without a flat view, the plane z = 0 may be out of view

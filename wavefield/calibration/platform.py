@@ -31,12 +31,12 @@ TRIALS = 2000  # of RANSAC; with one true edge in eight, thirty of them pick two
 
 
 def dip(height: float) -> float:
-    """Return the angle of the horizon below the horizontal, rad, from a height, m, with refraction."""
+    """Return the angle, rad, of the horizon below the horizontal, seen from a height, m, with refraction."""
     return float(np.sqrt(2.0 * max(height, 0.0) / EARTH_RADIUS))
 
 
 def find_horizon(mean: NDArray[np.generic], camera: Camera) -> Array | None:
-    """Find points (n, 2), px, of the horizon in the mean image of a fixed camera; None if there is none.
+    """Return points (n, 2), px, of the horizon in the mean image of a fixed camera; None if there is none.
     The horizon is straight in the undistorted image, with a roll of up to 45 degrees."""
     smooth = np.asarray(cv2.GaussianBlur(np.asarray(mean, np.float32), (0, 0), SMOOTHING), float)
     steepness = np.abs(np.gradient(smooth, axis=0))
@@ -56,8 +56,9 @@ def find_horizon(mean: NDArray[np.generic], camera: Camera) -> Array | None:
 
 
 def _line(tangents: Array, strength: Array, reach: float) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the edges on the straight line with the most gradient (RANSAC).
-    `tangents` (n, 2) are undistorted positions; `reach` is the largest distance from the line."""
+    """Return a mask (n,) of the edge points on the straight line with the most gradient (RANSAC).
+    `tangents` (n, 2) are undistorted positions and `strength` (n,) gradients of the edge points; `reach` is
+    the largest distance from the line, in tangents."""
     rng = np.random.default_rng(0)
     weight = np.minimum(strength, np.median(strength))
     best, inlier = 0.0, np.zeros(len(tangents), bool)
@@ -107,7 +108,8 @@ class PlatformFit:
         return float(self.up @ self.cameras[name].centre + self.offset)
 
     def distance(self, matches: Sequence[Mapping[Pair, Pixels]]) -> float:
-        """Return the median distance of the matched features from the first camera, m; 0 without matches."""
+        """Return the median distance of the matched features from the first camera, m; 0 without matches.
+        `matches` holds matched pixels by pair of cameras, for each instant."""
         name, camera = next(iter(self.cameras.items()))
         pixels = [a for one in matches for (first, _), (a, _) in one.items() if first == name and len(a)]
         if not pixels:
@@ -131,8 +133,10 @@ def fit_platform(
     horizons: Mapping[str, Array],
     distance: float | None = None,
 ) -> PlatformFit:
-    """Fit the level and height of the cameras to matched features and points of the horizon.
-    If `distance`, m, is given, the pose of the second camera is fitted too."""
+    """Fit the plane of the sea's mean surface, and so level and height of the cameras, to what they see.
+    `matches` holds matched pixels by pair of cameras, for each instant; `horizons` holds points of the
+    horizon (n, 2), px, by camera. If the `distance` between two cameras, m, is given, the pose of the second
+    is fitted too."""
     kept = [one for one in _joined(matches) if len(one.a)]
     kept = [_on_water(start, one) for one in kept]
     fit = start
@@ -154,8 +158,9 @@ def fit_platform(
 def jackknife_std(
     fit: PlatformFit, matches: Sequence[Instant], horizons: Mapping[str, Array], distance: float | None
 ) -> tuple[float, float]:
-    """Return the standard uncertainties of tilt (degrees) and height (m), by leaving out successive instants.
-    They hold for instants that show different waves; one instant gives NaN."""
+    """Return the standard uncertainties of tilt (degrees) and height (m), by leaving out groups of instants.
+    They hold for instants that show different waves. One instant gives NaN, but for the tilt if there is a
+    horizon. `matches` holds matched pixels by pair of cameras, for each instant."""
     # leave out successive instants together, because they show the same waves
     groups = np.array_split(np.arange(len(matches)), min(GROUPS, len(matches)))
     first = next(iter(fit.cameras))
@@ -192,7 +197,7 @@ def _joined(matches: Sequence[Instant]) -> list[_Match]:
 
 
 def _on_water(fit: PlatformFit, one: _Match) -> _Match:
-    """Keep the matches that are near their epipolar lines and on the water near the cameras."""
+    """Keep the matches that are near their epipolar lines, below the horizon and not too far away."""
     first, second = (fit.cameras[name] for name in one.pair)
     near = np.abs(epipolar_distance(first, second, *one.a.T, *one.b.T)) < MAX_EPIPOLAR_ERROR
     down = -(sight_lines(first, one.a) @ first.R @ fit.up)
@@ -203,7 +208,9 @@ def _on_water(fit: PlatformFit, one: _Match) -> _Match:
 
 
 def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
-    """Return the fit after a step x: turn (3), shift (2) of a placed camera, tilt (2), rise (1)."""
+    """Return the fit after a step x (3,): tilt (2) of the mean surface and change (1) of `offset`, m.
+    If `distance`, m, is given, x (8,) begins with a turn (3), rad, and a shift (2) of the second camera
+    across the line to the first, relative to the distance."""
     cameras = dict(fit.cameras)
     if distance is not None:
         one, name = list(cameras)[:2]
@@ -220,7 +227,9 @@ def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
 
 
 def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Array]:
-    """Return distances of matches across and along their epipolar lines, px, and d(along)/dz, px/m."""
+    """Return the distances (n,) of matches across and along their epipolar lines, px.
+    The distances along are from where water without waves would be seen. The third result (n,) is their
+    change with the elevation of the water, px/m."""
     first, second = (fit.cameras[name] for name in one.pair)
     rays = sight_lines(first, one.a) @ first.R
     down = np.minimum(rays @ fit.up, -MIN_DOWN / 4)
@@ -237,7 +246,7 @@ def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Arra
 
 
 def _sizes(fit: PlatformFit, one: _Match) -> tuple[float, Array]:
-    """Return expected standard deviations, px, across (one value) and along (n,) the epipolar lines."""
+    """Return the standard deviations, px, of matches: across (one value) and along (n,) epipolar lines."""
     across, along, per_metre = _along_and_across(fit, one)
     noise = max(robust_std(across), 0.05)
     waves = max(robust_std(along / per_metre), 1e-3)
@@ -253,7 +262,8 @@ def _residuals(
     distance: float | None,
     instants: int,
 ) -> Array:
-    """Return the residuals of `fit_platform` after a step x, each divided by its expected size."""
+    """Return the residuals of matches and of horizon points after a step x, each over its expected size.
+    `kept` and `sizes` belong together; `instants` is the number of instants of the matches."""
     now = _stepped(fit, x, distance)
     out = []
     for one, (noise, expected) in zip(kept, sizes, strict=True):

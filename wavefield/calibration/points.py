@@ -1,4 +1,4 @@
-"""Nodes of a target in one image: their container, and tables of points that other programs found."""
+"""Target nodes in one image: the class that holds them, and tables of points that other programs found."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,7 +24,8 @@ class TargetPoints:
     ----------
     node : ndarray of int, (n, 2)
         Indices (i, j). The node is at x = i * mesh, y = j * mesh on the target, right-handed seen from
-        above. For a target of kind `points` these are x and y in units of the mesh, and may be fractions.
+        above; mesh is the distance between nodes. For a target of kind `points` these are x and y in units
+        of the mesh, and may be fractions.
     pixel : ndarray, (n, 2)
         Position (X, Y) = (column, row), px.
     std : ndarray, (n,)
@@ -36,8 +37,8 @@ class TargetPoints:
     z : ndarray, (n,), optional
         Height of each node above the target's plane, metres; None if all nodes are on the plane.
     placed : bool
-        Whether nodes and z are positions in the physical frame, as for a target that a traverse moves
-        along z.
+        Whether nodes and z are known positions in the frame of the rig, as for a target that a traverse
+        moves along z.
     """
 
     node: Nodes
@@ -59,8 +60,9 @@ FREE_COLUMNS = ("x", "y", "z", "X", "Y")
 def read_points(
     path: str | Path, size: tuple[int, int] | None = None, std: float = 0.1, unit: float | None = None
 ) -> TargetPoints:
-    """Read target points from a CSV file: columns i, j, X, Y, optionally std (px) and z (metres). With a
-    `unit` (metres) they are x, y, z in this unit, X, Y. `size` and `std` are used if not in the file."""
+    """Read target points from a CSV file with the columns i, j, X, Y and perhaps std (px) and z (metres).
+    If `unit` (metres) is given, the columns are x, y, z in this unit, X, Y and perhaps std. The image's
+    `size` (width, height), px, and `std` are used if they are not in the file."""
     path = Path(path)
     lines = _lines(path)
     # lines that begin with # are comments; one of them may be "# size 1024 1024" (width and height, px)
@@ -106,7 +108,9 @@ def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
 
 
 def _table(lines: list[str], path: Path, std: float, unit: float | None) -> tuple[Array, bool]:
-    """Return a table (n, 6) of i, j (or x, y in the unit), X, Y, std, z (metres), and whether z is known."""
+    """Return the lines of a file as a table (n, 6), and whether it has a column z.
+    The columns of the table are i, j (or x, y in `unit`), X, Y, std, z (metres). `std`, px, replaces missing
+    values."""
     rows = [line for line in lines if line.strip() and not line.startswith("#")]
     words = [[w.strip() for w in row.split(",")] if "," in row else row.split() for row in rows]
     header = words[0] if words else []

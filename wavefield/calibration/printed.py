@@ -31,7 +31,8 @@ def find_chessboard(image: Image, target: Target) -> TargetPoints:
 
 
 def _refined(image: Image, node: Nodes, pixel: Array, reach: float = 0.35) -> Array:
-    """Return the corners (n, 2), px, refined by `cornerSubPix` in windows that reach `reach` meshes."""
+    """Return the corners (n, 2), px, refined by OpenCV's `cornerSubPix`.
+    `reach` is half the width of its windows, in distances between neighbouring corners."""
     half = int(np.clip(reach * mesh_length(node, pixel), 2, 7))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
     start = pixel.astype(np.float32).reshape(-1, 1, 2)
@@ -39,7 +40,8 @@ def _refined(image: Image, node: Nodes, pixel: Array, reach: float = 0.35) -> Ar
 
 
 def _chessboard_corners(image: Image, shape: tuple[int, int]) -> Array | None:
-    """Return the corners (n, 2), px, from the first of several OpenCV detectors that finds them, or None."""
+    """Return the corners (n, 2), px, from the first of several OpenCV detectors that finds them, or None.
+    `shape` is the number of inner corners along x and y."""
     picture, factor = _as_bytes(image), 1.0
     while max(picture.shape) > MAX_SEARCH_SIZE:
         half = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
@@ -64,7 +66,8 @@ def _as_bytes(image: Image) -> NDArray[np.uint8]:
 
 
 def find_charuco(image: Image, target: Target) -> TargetPoints:
-    """Find the chessboard corners of a ChArUco board, which may be partly out of view."""
+    """Find the chessboard corners of a ChArUco board, which may be partly out of view.
+    Raises a CalibrationError if too few are found, or if the marker dictionary is unknown."""
     nx, ny = shape_of(target)
     grey, marker = _as_bytes(image), float(target.marker or 0.0)
     code = getattr(cv2.aruco, target.dictionary, None)

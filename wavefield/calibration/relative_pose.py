@@ -1,7 +1,8 @@
 """Relative pose of two cameras from matched features of natural texture.
 
-It serves cameras at sea, of which only the lenses are known. The second camera is placed so that sight lines
-of matched features meet; the stated distance between the cameras gives the scale.
+This is for cameras at sea of which the lenses are known, but not the poses. The pose of the second camera is
+the one for which sight lines of matched features meet; the measured distance between the cameras gives the
+scale.
 """
 
 from dataclasses import replace
@@ -27,7 +28,7 @@ MAX_EPIPOLAR_ERROR = 3.0  # px, of a correct match: features are found to about 
 
 
 def match_features(one: NDArray[np.generic], other: NDArray[np.generic]) -> Pixels:
-    """Return the pixels (n, 2) of SIFT features (Lowe 2004) in each image that are mutually best matches."""
+    """Return the pixels (n, 2), in each of two images, of SIFT features (Lowe 2004) that match best."""
     sift = cv2.SIFT.create(nfeatures=MAX_FEATURES)
     found = [sift.detectAndCompute(_bytes(image), None) for image in (one, other)]
     if any(len(points) < 2 for points, _ in found):
@@ -53,8 +54,8 @@ def _bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 
 def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -> Camera:
-    """Return camera `other` placed relative to `one`, so that sight lines of matches meet (robust loss).
-    `distance` is that between the cameras, metres. Raises a RigError if there are too few matches."""
+    """Return camera `other` with a new pose relative to `one`, such that sight lines of `matches` meet.
+    `distance` is that between the two cameras, metres. Raises a RigError if there are too few matches."""
     a, b = matches
     if len(a) < MIN_MATCHES:
         raise RigError(_too_few(len(a)))
@@ -75,8 +76,9 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
 
 
 def _starts(E: Array, one: Array, other: Array, reach: float) -> list[Pose]:
-    """Return start poses (rotation, unit translation) from the essential matrix E and a homography.
-    Only the homography is right on a nearly flat surface. `one` and `other` (n, 2) are tangents."""
+    """Return start poses (rotation, unit translation) of the second camera relative to the first.
+    They come from the essential matrix E and from a homography; only the latter is right on a nearly flat
+    surface. `one` and `other` (n, 2) are tangents of matches, `reach` is the tolerance of the homography."""
     _, R, t, _ = cv2.recoverPose(E, one, other, np.eye(3))
     out = [(np.asarray(R, float), np.asarray(t, float).ravel())]
     H, _ = cv2.findHomography(one, other, cv2.RANSAC, reach)
@@ -93,7 +95,8 @@ def _starts(E: Array, one: Array, other: Array, reach: float) -> list[Pose]:
 def _fitted(
     one: Camera, other: Camera, matches: Pixels, distance: float, start: Pose
 ) -> tuple[Camera, float]:
-    """Fit the second camera's pose to the matches from a start; return the camera and the robust loss."""
+    """Fit the pose of camera `other` to the matches from a start; return the camera and the robust loss.
+    `start` is a pose (rotation, unit translation) relative to camera `one`; `distance` is in metres."""
     R, t = start
     across = np.linalg.svd(t[None])[2][1:]  # two directions across t
 

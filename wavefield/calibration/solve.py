@@ -60,11 +60,11 @@ class Calibration:
     fit : Fit, optional
         The joint fit.
     predicted : PredictedErrors, optional
-        Standard uncertainties of pixels and of z, propagated from those of the parameters.
+        Standard uncertainties of projected positions and of z, from the covariance of the parameters.
     left_out : dict of str to int
         Number of points left out, by view ("camera pose").
     target_std : float
-        Stated standard uncertainty of the target's nodes along each axis, metres.
+        Given standard uncertainty of the positions of the target's nodes along each axis, metres.
     reference : str
         The pose of the target that defines z = 0 and the axes.
     """
@@ -96,21 +96,23 @@ def calibrate(
     Parameters
     ----------
     views : mapping of camera to mapping of pose to TargetPoints
-        The points of each image. A pose has the same name in all cameras. If points are ``placed``, their
-        positions in the physical frame are known (a target moved along z by known steps).
+        The points of each image. A pose is one position of the target; it has the same name in all cameras.
+        If points are ``placed``, their positions in the frame of the rig are known (a target moved along z
+        by known steps).
     target : Target or float
-        The target, or its mesh, metres.
+        The target, or the distance between its neighbouring nodes, metres.
     flat : str, default "flat"
-        The pose on the plane z = 0; its axes are those of the physical frame. If it is empty, the pose that
-        most cameras saw defines the frame; level the rig on the water afterwards.
+        Name of the pose on the plane z = 0; its axes become those of the rig. If the name is empty, the pose
+        that most cameras saw defines them; level the rig on the water afterwards.
     model : str, default "auto"
         Free terms of the camera model, such as ``f tilt k1`` (`wavefield.calibration.bundle.TERMS`).
         ``auto`` chooses the model with the least expected error where the rig will be used (`model_choice`).
     target_std : float, default 0
-        Standard uncertainty of the target's nodes along each axis, metres. If it is given, the fit estimates
-        the nodes' offsets with this prior; level the rig on the water at rest afterwards.
+        Standard uncertainty of the positions of the target's nodes along each axis, metres. If it is given,
+        the fit estimates these errors too; level the rig on the water at rest afterwards.
     camera_distance : mapping of str to float, optional
-        Distances of cameras from the origin that you measured, metres. Only they can reveal a wrong mesh.
+        Distances of cameras from the origin that you measured, metres. Only they can reveal that the
+        distance between the target's nodes is wrong.
 
     Returns
     -------
@@ -184,7 +186,7 @@ def _fit_and_choose(
     target_std: float,
     findings: Findings,
 ) -> tuple[Observations, Fit, str]:
-    """Fit all cameras without outliers, and choose the camera model if `model` is None.
+    """Fit all cameras, reject outliers, and choose the camera model if `model` is None.
     Returns the observations kept, the fit, and the free terms of the model."""
     o = observations
     terms = model or ("f", "aspect", "c", "k1")
@@ -209,7 +211,7 @@ def _fit_and_choose(
 
 
 def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observations) -> Geometry:
-    """Return the geometry with the values of an ideal lens for all terms that are not in `terms`."""
+    """Return the geometry with the values of an ideal lens for all lens terms that are not in `terms`."""
     lens = geometry.lens.copy()
     free = {"fx", "fy"}.union(*(TERMS[term] for term in terms))
     fixed = [column for column, name in enumerate(LENS) if name not in free]
@@ -222,7 +224,8 @@ def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observat
 
 
 def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
-    """Return a mask (n,) of the observations to keep: all but those of a bad view, or else bad points."""
+    """Return a mask (n,) of the observations to keep, and record in `findings` those that are left out.
+    If one view is much worse than the others, this view is left out, and otherwise single bad points."""
     deviation = np.abs(result.residual).max(axis=1) / o.std
     view = o.camera * len(o.poses) + o.pose
     spread = {

@@ -38,7 +38,8 @@ Matches = Mapping[str, ArrayLike]  # by camera: pixels (n, 2) of the same n poin
 
 
 def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
-    """Return the names of the matched cameras in the rig's order, and their pixels (n, cameras, 2)."""
+    """Return the names of the matched cameras in the rig's order, and the matched pixels (n, cameras, 2).
+    Raises a CalibrationError for fewer than two cameras, an unknown camera, or arrays of another shape."""
     names = [name for name in rig if name in matches]
     unknown = [name for name in matches if name not in rig.cameras]
     if unknown:
@@ -52,7 +53,7 @@ def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
 
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
-    """Return the points x, y, z, (n,), m, nearest to the sight lines of matched pixels.
+    """Return the points x, y, z, each (n,), m, nearest to the sight lines of matched pixels.
     The fourth result is the observed minus the projected pixels, (n, cameras, 2)."""
     names, pixel = stack_matches(rig, matches)
     cameras = [rig[name] for name in names]
@@ -71,7 +72,7 @@ def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array
 
 @dataclass(frozen=True)
 class Solution:
-    """Cameras that best explain matched pixels, as `SightLineFit.solve` finds them."""
+    """The cameras that best explain matched pixels; the result of `SightLineFit.solve`."""
 
     x: Array  # (p,): Steps from the calibrated rig
     misfit: float  # Robust distance by which sight lines then miss each other, px
@@ -80,7 +81,7 @@ class Solution:
 
 class SightLineFit:
     """Least-squares fit of a rig's cameras to matched pixels of standard uncertainty `std`, px.
-    The calibration of the rig, with its covariance, is the prior."""
+    The prior is the calibration of the rig, with the covariance in its provenance."""
 
     def __init__(self, rig: Rig, matches: Matches, std: float):
         self.names, pixel = stack_matches(rig, matches)
@@ -123,7 +124,7 @@ class SightLineFit:
         return Rig({**self.rig.cameras, **dict(zip(self.names, cameras))}, self.rig.provenance)
 
     def solve(self, free: Sequence[str]) -> Solution:
-        """Find the most probable parameters if the cameras `free` may have moved, and the others have not."""
+        """Find the most probable parameters if the cameras named in `free` may have moved, and no others."""
         covariance = self.covariance.copy()
         for name in free:
             k = self.layout.camera[self.names.index(name)]
@@ -143,13 +144,13 @@ class SightLineFit:
         return Solution(x, self.misfit(r[: self.pixel.size]), huber(r, HUBER_LIMIT))
 
     def _linearised(self, x: Array) -> tuple[Array, Array]:
-        """Return the normalised residuals (n, 2 cameras, 1) and their derivatives (n, 2 cameras, p) at x.
+        """Return the normalised residuals (n, 2C, 1) of C cameras and their derivatives (n, 2C, p) at x (p,).
         The part that a shift of each point would explain is removed."""
         point = np.stack(sight_points(self.rig_at(x), self.matches)[:3], axis=-1)
         pixel, J, A = linearised(replace(self.start, offset=point), self.layout, x, self.observations)
 
         def by_point(values: Array) -> Array:
-            """Reorder (cameras n, 2, ...) to (n, cameras, 2, ...); zero where a camera sees no point."""
+            """Reorder (C n, 2, ...) to (n, C, 2, ...); zero where a camera sees no point."""
             own = np.moveaxis(values.reshape(len(self.names), self.n, 2, -1), 0, 1)
             return np.ascontiguousarray(np.where(self.visible[..., None, None], own, 0.0))
 
@@ -170,7 +171,9 @@ class SightLineFit:
         return self.rig[name].fx * float(np.radians(self.angle(solution, name)))
 
     def misfit(self, projected: Array) -> float:
-        """Return a robust distance by which sight lines miss, px, from residuals divided by `std`."""
+        """Return a robust distance, px, by which sight lines miss each other.
+        `projected` holds residuals over `std`, of all points and cameras; a shift of a point cannot reduce
+        them."""
         norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
         # normalise by the median of a chi distribution with 2 cameras - 3 degrees of freedom
         median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))
@@ -183,8 +186,9 @@ class SightLineFit:
 
 
 def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[ParameterLayout, Array]:
-    """Return the layout and the prior covariance (p, p) of the cameras' parameters, from the rig's
-    provenance. Without a covariance there, only poses are free, with default uncertainties."""
+    """Return the layout of the cameras' parameters and the prior covariance (p, p) of these parameters.
+    The covariance comes from the rig's provenance. If there is none, only poses are free, with default
+    uncertainties."""
     stated = rig.provenance.get("covariance")
     columns: dict[str, list[str]] = {name: [] for name in names}
     if stated:
@@ -263,7 +267,9 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
 
 
 def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
-    """Decide whether a camera has moved; also return the solution for each that may have (None: none)."""
+    """Decide whether a camera has moved, and which.
+    The second result holds a solution by the camera that may have moved in it; the key None is for no
+    camera."""
     solutions: dict[str | None, Solution] = {None: problem.solve(())}
     for name in problem.names:
         solutions[name] = problem.solve((name,))
@@ -306,8 +312,9 @@ def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
 
 
 def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: float, after: float) -> RigCheck:
-    """Return the result of a check that blames the motion of `best`, or other causes if a misfit remains.
-    `before` and `after` are the misfits before and after the correction, px; `angle` is in degrees."""
+    """Return the result of a check: `best` has moved or, if a large misfit remains, something else is wrong.
+    `faulty` are the cameras whose motion explains the misfit about equally well. `before` and `after` are the
+    misfits before and after the correction, px; `angle` is in degrees."""
     if after > max(0.5 * before, SHARP_MISFIT_PX):
         text = f"sight lines miss by {before:.2f} px, and by {after:.2f} px with one turned: {_OTHER_CAUSES}"
         return RigCheck(before, after, None, faulty, angle, text)

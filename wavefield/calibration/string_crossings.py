@@ -1,8 +1,8 @@
 """Fit crossings of two strings to a few hundredths of a pixel.
 
-The model of an image around a crossing is a plane background plus two straight strings. A string's profile is
-a box convolved with a Gaussian, which stands for the blur by lens and pixel. An arm is a string on one side
-of the crossing. The flux of a string is its brightness integrated across it.
+The model of an image around a crossing is a plane background plus two straight strings. The brightness across
+a string is a box convolved with a Gaussian, which stands for the blur by lens and pixel. An arm is a string
+on one side of the crossing. The flux of a string is its brightness integrated across it.
 """
 
 import math
@@ -54,7 +54,7 @@ MAX_ARM = 18.0  # px: length of an arm; tuned on simulated string grids
 
 @dataclass(frozen=True)
 class Crossings:
-    """Results of fitting n crossings in one image."""
+    """Results of the fits of n crossings of two strings in one image."""
 
     pixel: Array  # (n, 2): Position (X, Y), px
     std: Array  # (n,): Standard uncertainty per axis, px
@@ -73,8 +73,8 @@ class Crossings:
 
 @compiled()
 def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: float) -> Array:
-    """Return columns, rows and grey values (3, n) of the pixels near a crossing.
-    They are in the parallelogram of the vectors `arm1` and `arm2` and within `band` of a string, px."""
+    """Return columns, rows and grey values (3, n) of the pixels near a crossing with the parameters `start`.
+    They are in the parallelogram of the vectors `arm1` and `arm2` (2,) and within `band` of a string, px."""
     rows, columns = image.shape
     det = arm1[0] * arm2[1] - arm1[1] * arm2[0]
     wide, tall = abs(arm1[0]) + abs(arm2[0]), abs(arm1[1]) + abs(arm2[1])
@@ -101,8 +101,10 @@ def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: flo
 def _rows(
     pixels: Array, p: Array, blur: float, variance: Pair, spread: float, free: int, misses: Array, rows: Array
 ) -> float:
-    """Fill `rows` (13, n): weighted derivatives by `free` parameters, linear ones first, and residuals.
-    `misses` (2, n) gets residuals in grey and in standard deviations. Returns how many pixels count."""
+    """Fill `rows` (13, n) in place: 12 weighted derivatives of the model and, last, weighted residuals.
+    Only the first `free` derivatives are filled; linear parameters come first. Also fills `misses` (2, n):
+    residuals of `pixels` (3, n) in grey levels and in standard deviations. Returns the number of pixels with
+    weight."""
     c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
     count = 0.0
     for k in range(pixels.shape[1]):
@@ -141,7 +143,8 @@ def _rows(
 
 @compiled()
 def _advance(p: Array, steps: Array, blur: float) -> float:
-    """Add limited `steps`, linear parameters first, to p in place; return the centre's larger step, px."""
+    """Add `steps` (linear parameters first) to the parameters p (12,) in place, each within a limit.
+    Returns how far the centre has moved, px: the larger of the steps along x and y."""
     largest = 0.0
     for i in range(len(steps)):
         step = steps[i]
@@ -171,7 +174,9 @@ def _evaluate(
     arms: Array,
     noise: Array,
 ) -> None:
-    """Fill `arms` (4,) and `noise` (4,), fields of `Crossings`; `angles` are the strings' directions, rad."""
+    """Fill `arms` (4,) and `noise` (4,) in place; both are described in `Crossings`.
+    p (12,) are the fitted parameters, `misses` (2, n) the residuals of `pixels` (3, n) in grey levels and in
+    standard deviations, `angles` the directions of the strings, rad."""
     c1, s1, c2, s2 = math.cos(angles[0]), math.sin(angles[0]), math.cos(angles[1]), math.sin(angles[1])
     v1, v2 = math.sqrt(blur * blur + p[WIDTH1] / 3.0), math.sqrt(blur * blur + p[WIDTH2] / 3.0)
     found = np.zeros(4)
@@ -219,7 +224,9 @@ def _fit_one(
     noise: Array,
 ) -> float:
     """Fit one crossing by damped Gauss-Newton steps; return the residual over the noise, -1 if it fails.
-    The parameters p (12,), the variances of x and y, `arms` and `noise` are filled in place."""
+    Changed in place: parameters p (12,), `covariance` (2,) with the variances of x and y, px^2, `arms` (4,)
+    with relative brightnesses, and `noise` (4,) with mean grey and mean squared residual of background and
+    strings."""
     n = pixels.shape[1]
     if n < 45:
         return -1.0
@@ -254,7 +261,9 @@ def _fit_one(
 def _fit_all(
     image: Image, arms: Array, blur: float, band: Array, variance: Pair, p: Array, out: Array
 ) -> None:
-    """Fit all crossings; updates p (n, 12), and fills `out` (n, 11) with results of `_fit_one`."""
+    """Fit all crossings; changes the parameters p (n, 12) and `out` (n, 11) in place.
+    Each row of `out` holds variances of x and y, px^2, four values of each of `arms` and `noise` as in
+    `Crossings`, and residual over noise."""
     for k in range(len(p)):
         pixels = _pixels_near(image, p[k], arms[k, 0], arms[k, 1], band[k])
         covariance, brightness, noise = out[k, :2], out[k, 2:6], out[k, 6:10]
@@ -262,8 +271,9 @@ def _fit_all(
 
 
 def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> Array:
-    """Return start values (n, 12) of centres, angles and widths; the fit solves for the others.
-    `sigma` is the standard deviation of a string's profile, `blur` that of the lens' Gaussian, px."""
+    """Return start values (n, 12) of centres, angles and widths of crossings; the fit solves for the others.
+    `slopes` (n, 2, 2) are steps in the image along the two strings. `sigma` is the standard deviation of a
+    string's profile, `blur` that of the Gaussian blur by the lens, px."""
     p = np.zeros((len(pixel), COUNT))
     p[:, CX], p[:, CY] = pixel.T
     p[:, ANGLE1] = np.arctan2(slopes[:, 0, 1], slopes[:, 0, 0])
@@ -279,8 +289,10 @@ def fit_crossings(
     blur: float,
     noise: tuple[float, float] = (1.0, 0.0),
 ) -> Crossings:
-    """Fit all crossings from `start` (n, 12) by damped Gauss-Newton steps with Tukey's biweight.
-    `noise` is the variance of a pixel at zero grey and its increase per grey level."""
+    """Fit all crossings from the parameters `start` (n, 12) with Tukey's biweight.
+    `slopes` (n, 2, 2) are the steps in the image from each crossing to the next along the two strings, px;
+    `blur`, px, is the std of the blur; `noise` is the variance of a pixel at zero grey and its increase per
+    grey level."""
     parameters = np.array(start, float)
     length = np.hypot(slopes[..., 0], slopes[..., 1])
     arms = slopes * (np.minimum(0.45, MAX_ARM / np.maximum(length, 1e-9)))[..., None]

@@ -1,6 +1,7 @@
 """Find a grid of white strings: its crossings, their indices, and the two discs that mark the axes.
 
-The larger disc marks node (0, 0), the smaller one node (1, 0). A lattice is a set of nodes with their pixels.
+A node is a crossing with indices (i, j). The larger disc marks node (0, 0), the smaller one node (1, 0). A
+lattice is a set of nodes with their pixels.
 """
 
 import cv2
@@ -35,7 +36,8 @@ NO_GRID = (
 
 
 def best_lattice(image: Image) -> tuple[TargetLattice, float]:
-    """Return the lattice of crossings with the most light along its lines, and the smoothing scale, px."""
+    """Return the grid of crossings with the most light along its lines, and the scale of smoothing, px.
+    Raises a CalibrationError if there is none."""
     best: TargetLattice | None = None
     best_scale, most = SCALES[0], 0.0
     for scale in SCALES:
@@ -74,7 +76,7 @@ def _light_along(image: Image, lattice: TargetLattice) -> float:
 
 
 def _seeds(image: Image, candidates: Candidates) -> list[tuple[Array, Array, Array]]:
-    """Return seeds near the image's centre: a crossing (2,) and steps e1, e2 (2,), px, along its strings."""
+    """Return seeds near the image's centre: a crossing (2,) and steps e1, e2 (2,) to the next ones, px."""
     height, width = image.shape
     light = _above_ground(image, candidates.scale)
     pixel = candidates.pixel[candidates.strong]
@@ -109,7 +111,7 @@ def _above_ground(image: Image, scale: float) -> Image:
 
 
 def sample(image: Image, pixel: Array) -> Image:
-    """Interpolate the image at positions (..., 2); outside it, the nearest pixel counts."""
+    """Interpolate the image at positions (..., 2), px; outside the image, the nearest pixel counts."""
     flat = pixel.reshape(-1, 2).astype(np.float32)
     rows = 30000  # cv2.remap takes no more than 32767 rows
     parts = [
@@ -125,7 +127,8 @@ DISC_RADII = np.linspace(0.05, 0.38, 34)  # meshes: radii of the model discs
 
 
 def numbered_from_marks(image: Image, smooth: SmoothMap, node: Nodes) -> Nodes:
-    """Renumber nodes (n, 2) so that the larger disc is at (0, 0) and the smaller one at (1, 0)."""
+    """Return the nodes (n, 2), counted anew: (0, 0) is at the larger disc and (1, 0) at the smaller one.
+    `smooth` maps the present indices `node` (n, 2) to pixels."""
     origin, step = _marks(image, smooth, node)
     rotation = np.array([[step[0], step[1]], [-step[1], step[0]]])
     out: Nodes = (node - origin) @ rotation.T
@@ -133,7 +136,8 @@ def numbered_from_marks(image: Image, smooth: SmoothMap, node: Nodes) -> Nodes:
 
 
 def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
-    """Return the node of the larger disc (2,), and the step from it to the smaller disc (2,)."""
+    """Return the indices (2,) of the node under the larger disc, and the step (2,) to that under the smaller.
+    `smooth` maps indices `node` (n, 2) to pixels. Raises a CalibrationError if no pair of discs is clear."""
     height, width = image.shape
     places = around(node, np.vstack([[[0, 0]], FOUR_NEIGHBOURS]))
     pixel = smooth(places)
@@ -156,7 +160,8 @@ def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
 def _pairs_of_discs(
     places: Nodes, quality: Array, radius: Array, grey: Array, min_quality: float
 ) -> list[tuple[float, Nodes, Nodes]]:
-    """Return pairs (score, node of the larger disc, step to the smaller one), best first."""
+    """Return pairs (score, node under the larger disc, step to the node under the smaller one), best first.
+    `quality`, `radius` and `grey` (n,) belong to the discs fitted at the nodes `places` (n, 2)."""
     row = np.full((2 * REACH + 3, 2 * REACH + 3), -1)
     row[tuple((places + REACH + 1).T)] = np.arange(len(places))
     pairs = []
@@ -174,8 +179,9 @@ def _pairs_of_discs(
 
 
 def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
-    """Return the brightness around each node minus that of a typical node, (node, circle, direction),
-    and the brightness of the typical node, (circle, direction)."""
+    """Return the brightness on circles around each node minus that around a typical node, and the latter.
+    The shapes are (node, circle, direction) and (circle, direction). `pixel` (n, 2) are the nodes' positions,
+    `slopes` (n, 2, 2) the steps in the image to the next nodes."""
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
     offset = CIRCLES[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -186,7 +192,8 @@ def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
 
 
 def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
-    """Fit a uniform disc at each node; return quality (explained over residual), radius, meshes, and grey."""
+    """Fit a uniform disc at each node; return quality (explained over residual), radius (meshes) and grey.
+    `excess` and `usual` are the results of `_circles`."""
     noise = np.median(np.abs(excess[:, -10:])) + 1e-3
     disc = np.clip((DISC_RADII[:, None] - CIRCLES) / 0.05 + 0.5, 0, 1)[..., None]
     disc = disc * np.clip(1 - usual / usual.max(), 0, 1)
@@ -213,7 +220,8 @@ MAX_BLUR_CROSSINGS = 24  # used to find the blur, for speed
 
 
 def find_strings(image: Image, target: Target) -> TargetPoints:
-    """Find crossings of white strings, numbered from two discs; a mirrored image is not noticed."""
+    """Find crossings of white strings, with indices counted from two discs.
+    A mirrored image is not noticed. Raises a CalibrationError if strings or discs are not found."""
     lattice, scale = best_lattice(image)
     node, pixel = lattice.node, lattice.pixel
     node = numbered_from_marks(image, SmoothMap(node, pixel), node)
@@ -225,7 +233,8 @@ def find_strings(image: Image, target: Target) -> TargetPoints:
 def _fitted(
     image: Image, node: Nodes, pixel: Array, scale: float
 ) -> tuple[Crossings, Nodes, tuple[str, ...]]:
-    """Fit crossings, add missed ones, and reject implausible ones; return them, their nodes, and notes."""
+    """Fit crossings, add missed ones, and reject implausible ones; return them, their indices, and notes.
+    `scale` is the standard deviation of the smoothing with which the nodes were found, px."""
     height, width = image.shape
     smooth = SmoothMap(node, pixel)
     node = node[~_under_marks(node)]
@@ -276,14 +285,16 @@ def _under_marks(node: Nodes) -> Mask:
 
 
 def _missing(node: Nodes) -> Nodes:
-    """Return the nodes (m, 2) not found within two indices of those found, without those under a disc."""
+    """Return the nodes (m, 2) within two indices of the nodes `node` that are not among them.
+    Nodes under a disc are left out."""
     places = around(node, WINDOW)
     present = set(map(tuple, node))
     return np.array([n for n in places[~_under_marks(places)] if tuple(n) not in present]).reshape(-1, 2)
 
 
 def _plausible(fit: Crossings, expected: Array, slopes: Array) -> Mask:
-    """Return a mask of crossings near `expected`, along the mesh vectors, with three bright arms."""
+    """Return a mask (n,) of the crossings near `expected` (n, 2), px, with strings along `slopes` (n, 2, 2).
+    `slopes` are the steps to the next nodes, px. At least three of the four arms must be bright."""
     length = np.hypot(slopes[..., 0], slopes[..., 1])
     turn = fit.angle - np.arctan2(slopes[..., 1], slopes[..., 0])
     turn = np.abs((turn + np.pi / 2) % np.pi - np.pi / 2)
@@ -300,7 +311,7 @@ def _plausible(fit: Crossings, expected: Array, slopes: Array) -> Mask:
 
 
 def _like_neighbours(fit: Crossings) -> Mask:
-    """Return a mask of the crossings whose strings are about as wide and bright as at nearby crossings."""
+    """Return a mask (n,) of the crossings whose strings are about as wide and bright as those nearby."""
     _, near = cKDTree(fit.pixel).query(fit.pixel, min(13, len(fit.pixel)))
     width = fit.sigma / np.median(fit.sigma[near], axis=1)
     flux = fit.flux / np.median(fit.flux[near], axis=1)
@@ -311,7 +322,8 @@ def _like_neighbours(fit: Crossings) -> Mask:
 
 
 def _lens_blur(image: Image, fit: Crossings, slopes: Array, good: Mask) -> float:
-    """Return the standard deviation of the blur by lens and pixel, px, that fits some crossings best."""
+    """Return the standard deviation of the blur by lens and pixel, px, that fits some crossings best.
+    The crossings are chosen among those for which `good` (n,) is true."""
     chosen = np.flatnonzero(good)
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(MAX_BLUR_CROSSINGS, len(chosen))).astype(int)]
     misfit = np.empty(len(BLURS))

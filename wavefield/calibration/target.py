@@ -45,11 +45,11 @@ class Target:
         is half of the spacing within a row. For points it is the unit of the tables (0.001 for mm).
     shape : tuple of int, optional
         Number of nodes along x and y. A chessboard counts inner corners, a ChArUco board counts squares.
-    origin_mark : str
-        Mark of node (0, 0) of strings: a disc.
-    x_mark : str
+    origin_mark : {"disc", "square"}
+        Mark of node (0, 0) of strings: a disc. A two-level target has a square at (0, 1), between the dots.
+    x_mark : {"small disc", "triangle"}
         Mark of the x axis. Strings: a small disc at node (1, 0). Two-level: a triangle at (1, 0), between
-        the dots; a square is at (0, 1).
+        the dots.
     diameter : float, optional
         Diameter of a dot, m.
     dictionary : str

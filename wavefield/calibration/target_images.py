@@ -29,7 +29,7 @@ TABLES = (".csv", ".txt", ".dat", "")  # suffixes of tables of points that anoth
 
 @dataclass(frozen=True)
 class TargetRig:
-    """Result of `calibrate_experiment`: the calibrated rig and what was found in each image."""
+    """Result of `calibrate_experiment`: the calibrated rig and the target points found in each image."""
 
     calibration: Calibration  # The rig and its uncertainties
     views: dict[str, dict[str, TargetPoints]]  # Points found, by camera and pose of the target
@@ -83,7 +83,7 @@ def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
 
 def scaled(image: NDArray[np.generic]) -> Image:
     """Convert an image to float32, and scale it so that its brightest patch has the value 255.
-    Raises a CalibrationError if the image is too small, not grey, not finite, or empty."""
+    Raises a CalibrationError if the image is too small, uniform, or not grey, or if a value is not finite."""
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE:
         raise CalibrationError(
@@ -104,7 +104,7 @@ def scaled(image: NDArray[np.generic]) -> Image:
 
 def _find_in_file(path: Path, target: Target, size: tuple[int, int] | None = None) -> TargetPoints | str:
     """Return the target points in an image or table, or a sentence for the user if that fails.
-    `size` (width, height) is used for a table that does not state the size of the image."""
+    `size` (width, height), px, is used for a table that does not state the size of the image."""
     try:
         if is_table(path):
             return read_points(path, size, unit=target.mesh if target.kind == "points" else None)
@@ -123,13 +123,14 @@ def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
 
 
 def placed_at(points: TargetPoints, height: float) -> TargetPoints:
-    """Return the points of a target parallel to z = 0 at a height, m, as positions in the frame."""
+    """Return the points with known positions in the rig's frame, if the target is parallel to z = 0.
+    `height` is that of the target above z = 0, m."""
     own = np.zeros(len(points)) if points.z is None else points.z
     return replace(points, z=own + height, placed=True)
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file is a table of points, by the ending of its name."""
+    """Return whether the ending of a file's name is that of a table of points."""
     return path.suffix.lower() in TABLES
 
 

@@ -1,8 +1,8 @@
 """Find a two-level target: dots on the two levels of a stepped plate.
 
-The dots of each level form a lattice of cells two meshes wide. The dots of the other level are near the
-middles of these cells, shifted by the parallax between the levels. A square and a triangle between the dots
-mark the axes.
+The mesh is the distance between rows of dots, half of the spacing in a row. The dots of each level form a
+lattice of cells two meshes wide. The dots of the other level are near the middles of these cells, shifted by
+the parallax between the levels. A square and a triangle between the dots mark the axes.
 """
 
 import cv2
@@ -29,7 +29,7 @@ PATCH_SAMPLES = 25  # along each side of a patch
 
 
 class PlateLevel:
-    """The dots of one level, with a smooth map from their indices to pixels.
+    """The dots of one level of a stepped plate, with a smooth map from indices `node` (n, 2) to pixels.
     A dot is at ``2 node + shift`` meshes; `shift` is 0 on the first level and 1 on the second."""
 
     def __init__(self, node: Nodes, pixel: Array, shift: int = 0) -> None:
@@ -39,7 +39,7 @@ class PlateLevel:
         self.side = float(np.median(np.hypot(slopes[..., 0], slopes[..., 1])))
 
     def index_of(self, pixel: Array) -> Array:
-        """Return the indices (n, 2) in the level's lattice, as fractions, of the pixels (n, 2)."""
+        """Return the indices (n, 2) that belong to pixels (n, 2), as fractions; dots have whole indices."""
         inverse = np.linalg.inv(self.smooth.matrix)
         q = np.c_[pixel, np.ones(len(pixel))] @ inverse.T
         index: Array = q[:, :2] / q[:, 2:]
@@ -55,7 +55,8 @@ PlateAxes = tuple[Nodes, Nodes, Nodes]
 
 def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Array) -> PlateAxes | None:
     """Return origin, x and y from a triangle between dots of `level` and a square between those of `other`.
-    The origin is the dot next to both marks. `centre` (n, 2), px, are all blobs. None without marks."""
+    They are in meshes; the origin is the dot next to both marks. `centre` (n, 2), px, are all bright shapes.
+    Returns None if the marks are not found."""
     near = [cKDTree(one.pixel).query(centre)[0] < 0.1 * one.side for one in (level, other)]
     rest = centre[~near[0] & ~near[1]]
     if len(rest) < 2:
@@ -76,7 +77,8 @@ def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Ar
 
 
 def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
-    """Return, by index, the positions in meshes (2,) of pixels (n, 2) midway between two dots of a level."""
+    """Return the positions (2,), in meshes, of the pixels (n, 2) that are midway between two dots of a level.
+    The keys are the indices of these pixels."""
     mesh = 2 * level.index_of(pixel) + level.shift
     site = np.rint(mesh).astype(np.int64)
     good = (np.abs(mesh - site) < MAX_MISFIT).all(1) & (site.sum(1) % 2 == 1)
@@ -84,19 +86,21 @@ def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
 
 
 def _right_handed(level: PlateLevel, index: Array, x: Nodes, y: Nodes) -> bool:
-    """Return whether the steps x and y (2,) at a node of index `index` are right-handed seen from above."""
+    """Return whether the steps x and y (2,) from the dot `index` (2,) are right-handed seen from above."""
     slopes = level.smooth.slopes(np.asarray(index, float)[None])[0]
     return cross(x @ slopes, y @ slopes) < 0  # image rows run downwards
 
 
 def _square_first(patch: Array) -> Nodes | None:
-    """Return the indices that put the square before the triangle; None if two patches are too similar."""
+    """Return the indices that put the square before the triangle; None if the two are too similar.
+    `patch` (2, samples) holds the images of both marks."""
     skewness = np.array([_skewness(one) for one in patch])
     return None if skewness.max() < 2.0 * skewness.min() else np.argsort(skewness)
 
 
 def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Array:
-    """Sample the image around pixels of lattice index `index` (n, 2), as patches (n, samples) from 0 to 1."""
+    """Sample the image around n marks, as patches (n, samples) of brightness from 0 to 1.
+    `pixel` (n, 2) are the positions of the marks, `index` (n, 2) the same in cells of `level`."""
     a = PATCH_REACH * np.linspace(-1, 1, PATCH_SAMPLES)
     offset = np.stack(np.meshgrid(a, a), -1).reshape(-1, 2)
     places = level.smooth((index[:, None] + offset).reshape(-1, 2)).astype(np.float32)
@@ -111,7 +115,7 @@ def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Arr
 
 
 def _skewness(patch: Array) -> float:
-    """Return the asymmetry of a patch: third moments over the cubed size; large for triangles."""
+    """Return the asymmetry of a patch (samples,): third moments over the cubed size; large for triangles."""
     light = np.where(patch > 0.3, patch, 0.0)
     a = np.linspace(-1, 1, PATCH_SAMPLES)
     x, y = (v.ravel() for v in np.meshgrid(a, a))
@@ -127,8 +131,8 @@ DECISIVE_FRACTION = 0.4  # of all dots; a level with more of them ends the searc
 
 
 def find_two_level(image: Image, target: Target) -> TargetPoints:
-    """Find the dots of a two-level target that may be partly out of view; its two marks must be in view.
-    The parallax between the levels must be less than a mesh."""
+    """Find the dots of a two-level target, which may be partly out of view; its two marks must be in view.
+    The parallax between the levels must be less than the distance between rows of dots."""
     best: tuple[int, Image, PlateLevel, PlateLevel, Array] | None = None
     for polarity in (image, 255.0 - image):
         centre, area = find_blobs(polarity)
@@ -157,7 +161,9 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
 
 
 def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLevel | None:
-    """Return the level with the most dots, if its cells hold dots of the other level, or None."""
+    """Return the level with the most dots, if its cells hold dots of another level, or None.
+    `centre` (n, 2), px, and `area` (n,), px^2, belong to the dots of both; `size` is the image's (width,
+    height)."""
     if len(centre) < 2 * LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)
@@ -177,7 +183,8 @@ def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLeve
 
 
 def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel | None:
-    """Make a level from dots without outliers; None if too few dots are left."""
+    """Make a level from dots with indices `node` and positions `pixel` (n, 2), without outliers.
+    Returns None if too few dots are left. `shift` is as in `PlateLevel`."""
     try:
         level = PlateLevel(node, pixel, shift)
     except (CalibrationError, np.linalg.LinAlgError):
@@ -189,8 +196,8 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
 
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
-    """Return pairs of mesh vectors, px, from dot k, those that span the smallest cells first.
-    Dots must lie at the end of each vector, at its opposite, and at the sum of the two vectors."""
+    """Return pairs of steps, px, from dot k to other dots, those that span the smallest cells first.
+    Dots must lie at the end of each step, at its opposite, and at the sum of the two steps."""
     _, near = tree.query(centre[k], min(22, len(centre)))
     vectors = centre[near[1:]] - centre[k]
     ends = cKDTree(vectors)
@@ -210,7 +217,8 @@ def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array,
 
 
 def _middles_filled(level: PlateLevel, centre: Array) -> bool:
-    """Return whether most dots that do not belong to a level are near the middles of its cells."""
+    """Return whether most dots that do not belong to `level` are near the middles of its cells.
+    `centre` (n, 2), px, are all dots."""
     rest = _other_dots(level, centre)
     if len(rest) < LIMITS.min_nodes:
         return False
@@ -219,7 +227,7 @@ def _middles_filled(level: PlateLevel, centre: Array) -> bool:
 
 
 def _other_dots(level: PlateLevel, centre: Array) -> Array:
-    """Return the dots (m, 2) among `centre` (n, 2) in the area of `level` that are not its own."""
+    """Return the dots (m, 2) among `centre` (n, 2) in the area of `level` that do not belong to it."""
     distance, _ = cKDTree(level.pixel).query(centre)
     rest = centre[distance > 0.1 * level.side]
     if not len(rest):
@@ -230,7 +238,8 @@ def _other_dots(level: PlateLevel, centre: Array) -> Array:
 
 
 def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
-    """Return the dots near the middles of the cells of `one`, which a smooth parallax shifts."""
+    """Return the dots near the middles of the cells of `one` as a level, or None if they are too few.
+    `centre` (n, 2), px, are all dots. The parallax may change linearly over the image."""
     rest = _other_dots(one, centre)
     if len(rest) < LIMITS.min_nodes:
         return None
@@ -255,7 +264,8 @@ def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
 def _numbered(
     image: Image, marked: PlateLevel, second: PlateLevel, axes: PlateAxes, target: Target
 ) -> TargetPoints:
-    """Return the target points of both levels; their indices count meshes from the origin of `axes`."""
+    """Return the target points of both levels, with indices in meshes from the origin and along `axes`.
+    `marked` is the level that `axes` refer to; it is at z = 0."""
     origin, x, y = axes
 
     def located(level: PlateLevel) -> TargetPoints:
