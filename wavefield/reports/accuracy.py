@@ -1,4 +1,4 @@
-"""Section on errors: from the cube itself, between pairs of cameras, and against exact fields."""
+"""A report's section on errors: from the cube itself, between pairs of cameras, and against exact fields."""
 
 import numpy as np
 import xarray as xr
@@ -16,7 +16,8 @@ _STD_UNITS = (("z_std", "mm"), ("u_std", "mm/s"), ("v_std", "mm/s"), ("w_std", "
 
 
 def accuracy(run: Run) -> ReportSection:
-    """Return the section on misfits, standard uncertainties, pairs of cameras, and errors of a simulation."""
+    """Return the section on misfits, standard uncertainties, and differences between pairs of cameras.
+    For a simulated experiment it also has the errors against the exact fields."""
     compared = ", errors against the exact fields" if run.truth is not None else ""
     gist = f"misfits, standard uncertainties, pairs of cameras{compared}"
     items = [*_internal(run.cube), *pair_items(run), *_against_truth(run)]
@@ -85,7 +86,7 @@ def errors_against(cube: xr.Dataset, truth: xr.Dataset) -> xr.Dataset:
 
 # -- pairs of cameras against one another: errors without exact fields ---------------------------------------
 
-# by quantity: name in the table, factor of the rms there, value in Aubourg et al. (2019)
+# by quantity: name in the table, factor by which its rms is multiplied, value in Aubourg et al. (2019)
 _NAMES = {
     "eps_y": ("epipolar error (eps_y), {}", 1.0, "0.04 to 0.08 cm"),
     "sigma_z": ("σ of z that follows, {}", 1.0, "0.048 to 0.058 cm"),
@@ -131,7 +132,8 @@ def pair_items(run: Run) -> list[Item]:
 
 
 def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
-    """Return a row for each error in `Run.pair_statistics`: name, rms in cm and px, outliers, paper."""
+    """Return a row of texts for each error in `found`, the result of `Run.pair_statistics`.
+    Columns: name; rms, cm; rms, px; percentage beyond three times the rms; Aubourg et al. (2019)."""
     rows: list[tuple[str, ...]] = []
     for k in range(found.sizes["error"]):
         error = found.isel(error=k)
@@ -148,7 +150,7 @@ def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
 
 
 def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: float, label: str) -> None:
-    """Draw the densities of the errors of some quantities times `factor`, one line per pair of cameras.
+    """Draw the probability densities of errors of `quantities`, times `factor`; a line per pair of cameras.
     `found` is `Run.pair_statistics`; `label` is a symbol and the displayed unit, such as "eps_y mm"."""
     symbol, unit = label.rsplit(" ", 1)
     errors = found.isel(error=np.isin(found.quantity, quantities))
@@ -174,7 +176,7 @@ def pair_misfits(found: xr.Dataset) -> Figure:
 
 def pair_differences(found: xr.Dataset) -> Figure:
     """Draw the distributions of differences between pairs of cameras, from `Run.pair_statistics`.
-    The panel of z also shows z of a pair computed from two other pairs, minus z measured directly."""
+    The panel of z also shows z of a pair, computed from two other pairs, minus z of this pair itself."""
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     kinds = [("z", "z_recombined"), ("dx",), ("dy",), ("dz",)]
     kinds = [names for names in kinds if np.isin(found.quantity, names).any()]

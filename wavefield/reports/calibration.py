@@ -45,8 +45,8 @@ def write_calibration(
     product: Product = REPORT,
 ) -> Path:
     """Write `index.html` and `numbers.yaml` of a calibration into a folder; return the path of the page.
-    `target` shows the target found in the images. Raises StoreError if one of the files exists and does not
-    carry the mark `product`."""
+    `target` is a figure of the target as found in the images. Raises StoreError if one of the files exists
+    and is not an earlier, unchanged output with the same kind and source (`product`)."""
     directory = Path(directory)
     content: dict[str, Any] = {
         "usable": calibration.usable,
@@ -82,7 +82,8 @@ def write_calibration(
 def _figures(
     calibration: Calibration, observations: Observations, fit: Fit, surface: FlatSurface | None
 ) -> Iterator[CalibrationPicture]:
-    """Yield name, title and figure of each picture; `surface` is the flat target, triangulated."""
+    """Yield name, title and figure of each picture: rig, coverage, flat target, residuals of each camera.
+    `surface` is the target's flat view, triangulated with the rig; None if there is none."""
     with suppress(RigError):  # cameras without a common field
         seen = common_field(calibration.rig.cameras.values())
         yield "rig", "The rig, and the water that all cameras see", rig_views(calibration.rig, seen)
@@ -95,7 +96,8 @@ def _figures(
 
 
 def _parameters(calibration: Calibration, observations: Observations, fit: Fit) -> dict[str, Any]:
-    """Return lens parameters and pose of each camera, with their standard uncertainties, by camera."""
+    """Return, by camera, then by name such as "fx_px", each lens parameter with its standard uncertainty.
+    That is 0 if it was not fitted. Also translation, m, and the uncertainties of rotation and translation."""
     std, covariance = np.sqrt(np.diag(fit.covariance)), fit.covariance
     out: dict[str, Any] = {}
     for c, name in enumerate(observations.cameras):
@@ -221,7 +223,7 @@ def _lens(content: Content) -> Table:
 
 
 def rig_sentences(rig: Rig) -> Iterator[str]:
-    """Yield a sentence on the distances of the cameras from the target, and one on their common field."""
+    """Yield two sentences: distance of each camera from the target's origin; pixel size and common field."""
     distances = ", ".join(
         f"{name} {float(np.linalg.norm(camera.centre)):.2f} m" for name, camera in rig.cameras.items()
     )
@@ -244,7 +246,7 @@ def rig_sentences(rig: Rig) -> Iterator[str]:
 
 
 def calibration_folder(run: Run) -> Path | None:
-    """Return the folder of the calibration report next to the run's rig file; None if there is none."""
+    """Return the folder of the calibration report next to the run's rig file; None without such a report."""
     if run.experiment is None or isinstance(run.experiment.rig, dict):
         return None
     rig = run.experiment.resolve(run.experiment.rig or "rig.yaml")
@@ -253,7 +255,7 @@ def calibration_folder(run: Run) -> Path | None:
 
 
 def calibration_section(run: Run) -> ReportSection:
-    """Return the section with the residuals of the calibration, if its report is next to the rig file."""
+    """Return the section with the residuals of the calibration; empty if no report is next to the rig."""
     section = ReportSection("Calibration", folded=True)
     folder = calibration_folder(run)
     if folder is None:

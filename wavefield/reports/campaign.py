@@ -1,4 +1,4 @@
-"""A page that compares the runs of a catalog, with links to their reports."""
+"""A page that compares the runs of a catalog (a list of experiments), with links to their reports."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,8 @@ _CAPTION = "A dash: not measured, not analysed, or the record is too short"
 
 
 def compare(title: str, cubes: Sequence[tuple[str, Path]], output: str | Path) -> Path:
-    """Write the page `output` that compares the runs of a catalog, given by name and path of their cubes."""
+    """Write the page that compares the runs of a catalog, and return its path, `output`.
+    `cubes` holds the name of each run and the path of its cube, which need not exist."""
     output = Path(output)
     groups = {run: _groups(cube) for run, cube in cubes if cube.is_dir()}
     head = ("run", "verdict", "steps", *(heading for _, _, heading, _ in _COLUMNS), "report")

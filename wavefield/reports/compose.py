@@ -35,7 +35,7 @@ def report(
     output : path, optional
         File to write; by default ``report.html`` next to ``cube.zarr``, ``a_report.html`` next to ``a.zarr``.
     progress : callable, optional
-        Called with the number of sections drawn and of all sections.
+        Called with the number of sections drawn and the number of all sections.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def report(
 
 
 def measured_run(store: str | Path) -> Run:
-    """Return the run that writes or wrote a cube; raise StoreError if it has finished no step yet."""
+    """Return the run that writes or wrote a cube; raise StoreError if the status of no step is set yet."""
     run = open_run(store)
     if not (run.cube.frame_status.values > 0).any():
         raise StoreError(f"{store} has no measured step yet; run `wavefield run` first")
@@ -75,7 +75,8 @@ def write_report(
     progress: Callable[[int, int], None] | None = None,
     verdict: Verdict | None = None,
 ) -> Path:
-    """Write the report of a run as one HTML file, with the verdict if there is one, and return its path."""
+    """Write the report of a run, with the verdict if there is one, as one HTML file; return `output`.
+    `progress` is called with the number of sections drawn and the number of all sections."""
     output = Path(output)
     sections = build_all(builders_of(run, verdict), progress)
     write_text(output, render(head_of(run, verdict), sections), Product("report", source_of(run.cube)))
@@ -83,7 +84,8 @@ def write_report(
 
 
 def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSection]]:
-    """Return functions that draw the sections of a report; that of a light sheet has no waves."""
+    """Return functions, in the order of the report, that each draw one section.
+    For a run in a light sheet, the sections on waves and elevation are left out."""
     numbers = RunNumbers(run)
     builders: list[Callable[[], ReportSection]] = [partial(result, numbers), partial(attention, run, verdict)]
     of_surface = [] if in_light_sheet(run) else [spectra, nonlinearity, distributions]
@@ -96,7 +98,8 @@ def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSe
 def build_all(
     builders: list[Callable[[], ReportSection]], progress: Callable[[int, int], None] | None
 ) -> list[ReportSection]:
-    """Return the sections that `builders` draw; `progress` is called with the number drawn and of all."""
+    """Return the sections that the functions `builders` draw.
+    `progress` is called with the number of sections drawn and the number of all sections."""
     sections = []
     for k, build in enumerate(builders):
         if progress:

@@ -1,4 +1,4 @@
-"""Sections on set-up, elevation and probes, distributions, coverage; and the player of the surface."""
+"""A report's sections on set-up, elevation, distributions and coverage; data of its surface animation."""
 
 import base64
 import json
@@ -21,7 +21,7 @@ MAX_PROBES = 3  # probes that are drawn; the table lists all
 
 
 def surface_picture(snap: xr.Dataset) -> Picture:
-    """Return a 3D picture of the surface at one step (y, x)."""
+    """Return a 3D picture of the surface at one step (y, x) of a cube."""
     return Picture(
         figures.surface_3d(snap),
         "The surface at one moment; heights are exaggerated, colour is the vertical velocity.",
@@ -30,7 +30,7 @@ def surface_picture(snap: xr.Dataset) -> Picture:
 
 
 def snapshots(run: Run) -> ReportSection:
-    """Return the section with the surface and its velocity at one moment."""
+    """Return the section with pictures of the surface and of its velocity at one step near mid-record."""
     snap = snapshot(run.cube)
     velocity = Picture(
         figures.velocity_map(snap),
@@ -41,7 +41,7 @@ def snapshots(run: Run) -> ReportSection:
 
 
 def distributions(run: Run) -> ReportSection:
-    """Return the section on the distributions of the fields and their moments."""
+    """Return the section on the probability densities of z and the displacements, and on their moments."""
     part, rate = thinned(run.cube, "z", "u", "v", "w"), float(run.cube.attrs["frame_rate"])
     stds = [f"z {100 * float(part.z.std()):.3g} cm"]
     stds += [f"d{axis} {100 / rate * float(part[n].std()):.3g} cm" for axis, n in zip("xyz", "uvw")]
@@ -122,7 +122,8 @@ def setup(run: Run) -> ReportSection:
 
 
 def _middle_frames(run: Run) -> dict[str, np.ndarray]:
-    """Return one image (row, column) of each camera of the rig: the middle frame, or the first or last."""
+    """Return an image (row, column) of each camera of the rig: the middle frame, or else the first or last.
+    Cameras of which none of these can be read are left out."""
     out = {}
     for name, series in run.frames.items():
         if run.rig is not None and name in run.rig.cameras:
@@ -141,7 +142,8 @@ def elevation(run: Run) -> ReportSection:
 
 
 def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
-    """Return the probes of a run and "", or None and the reason why probes that are named are absent."""
+    """Return the wave probes of a run and "", or None and why probes that the experiment names are absent.
+    The reason is empty if the experiment names no probes."""
     try:
         probes = run.probes
     except WavefieldError as error:
@@ -151,7 +153,7 @@ def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
 
 
 def elevation_pictures(run: Run) -> list[Item]:
-    """Return a picture of the elevation spectrum by each method; an empty list without a wave store."""
+    """Return a picture of the elevation spectrum by each method; [] if the waves are not analysed."""
     group, fusion = run.wave_group("spectra"), run.wave_group("fusion")
     if group is None or "Ez" not in group:
         return []
@@ -175,7 +177,8 @@ def elevation_pictures(run: Run) -> list[Item]:
 
 
 def probe_items(run: Run) -> list[Item]:
-    """Return a picture of probes and cameras over time, and a table of their differences, by probe."""
+    """Return a picture of z by probes and by cameras over time, and a table of the differences at each probe.
+    The list is empty if the run has no probes; it has only the table if no probe can be compared."""
     probes, _ = probes_of(run)
     if probes is None:
         return []
@@ -206,8 +209,9 @@ def probe_items(run: Run) -> list[Item]:
 
 
 def at_probe(cube: xr.Dataset, probe: xr.Dataset) -> xr.Dataset | str:
-    """Compare a probe with z at its position, both minus their means, in the middle of the record.
-    If they cannot be compared, the result is the reason, a string."""
+    """Compare a probe with z of a cube at its position, in up to 1500 steps in the middle of the record.
+    Return z and elevation (time,), each minus its mean, m, with rms_difference, m, and correlation.
+    If they cannot be compared, return the reason as a string."""
     first = max(0, (cube.sizes["time"] - MAX_STEPS) // 2)
     z = cube.z.isel(time=slice(first, first + MAX_STEPS))
     time, x, y = z["time"].values.astype(float), float(probe.probe_x), float(probe.probe_y)
@@ -254,8 +258,8 @@ def excerpt(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _code(values: np.ndarray, half: float) -> str:
-    """Encode values (time, y, x) from -half to half as codes 1 to 255, missing ones as 0, for the player.
-    Differences of the codes along x and y, modulo 256, are compressed and written in base 64."""
+    """Encode values (time, y, x) from -half to half as codes 1 to 255, missing ones as 0, for the animation.
+    Differences of the codes along x and y, modulo 256, are compressed and returned as base-64 text."""
     scaled = np.round(np.clip(128 + 127 * values / half, 1, 255))
     codes = np.where(np.isfinite(values), scaled, 0).astype(np.uint8)
     differences = np.diff(np.diff(codes, axis=2, prepend=np.uint8(0)), axis=1, prepend=np.uint8(0))
@@ -263,7 +267,8 @@ def _code(values: np.ndarray, half: float) -> str:
 
 
 def pack(cube: xr.Dataset) -> dict[str, str]:
-    """Return the data of the animation of a cube (time, y, x), as text by the name of the HTML element."""
+    """Return the data of the animation of a cube (time, y, x): texts for the script of the page, by HTML id.
+    "field-description" is JSON; "field-z", "field-w", "field-u" and "field-v" are encoded by `_code`."""
     part = excerpt(cube)
     some = thin(part.sizes["x"], part.sizes["y"])
     arrows = 100 * part[["u", "v"]].isel(x=some, y=some).astype(float)

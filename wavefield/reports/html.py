@@ -25,7 +25,7 @@ WIDE_PX = 1000  # a wider picture has several panels and takes a row of its own
 
 
 class Item:
-    """A part of a section: picture, table, text, ..."""
+    """Base class of the parts of a section: pictures, tables, texts, ..."""
 
     @property
     def kind(self) -> str:
@@ -59,7 +59,7 @@ class Picture(Item):
 
 
 def small_png(png: bytes) -> bytes:
-    """Return the picture of a PNG file as a PNG file with few colours, or the given file if it is smaller."""
+    """Return the PNG file `png` with its colours reduced to 128, or the file itself if that is smaller."""
     image = Image.open(io.BytesIO(png)).convert("RGB")
     buffer = io.BytesIO()
     image.quantize(_COLOURS, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
@@ -91,7 +91,7 @@ class Facts(Item):
 
 @dataclass(frozen=True)
 class Remarks(Item):
-    """Remarks of a verdict, each with what was found, what it means and what to do."""
+    """Remarks of the verdict on a cube, each with what was found, what it means and what to do."""
 
     remarks: Sequence[Remark]
 
@@ -123,12 +123,12 @@ class ReportSection:
 
 @dataclass(frozen=True)
 class Head:
-    """The top of a page."""
+    """The top of a page: title, lines of text, and the verdict on a cube or a rig."""
 
     title: str
     lines: Sequence[str] = ()  # paragraphs; empty ones are left out
     verdict: str = ""  # one line on whether the results can be used; empty without a verdict
-    weight: str = "note"  # weight of the verdict, which sets its colour and sign
+    weight: str = "note"  # of the verdict: "note", "remark" or "grave"; sets its colour and sign
 
 
 def with_code(words: str) -> Markup:

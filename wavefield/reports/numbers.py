@@ -1,4 +1,4 @@
-"""Numbers that the sections of a report share, and how numbers are written."""
+"""Numbers that several sections of a report need, and how numbers are written as text."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -38,8 +38,8 @@ def number(value: float, unit: str = "", digits: int = 3) -> str:
 
 
 def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> str:
-    """Return a variable of a wave store's group, times `factor`, as text such as "5.03 ± 0.41".
-    The text is empty if the group, the variable or its uncertainty `name_std` is missing or not finite."""
+    """Return the value ± standard uncertainty of a variable, times `factor`, as text such as "5.03 ± 0.41".
+    The text is empty if the group of the wave store, `name` or `name`_std is missing or not finite."""
     if group is None or not {name, f"{name}_std"} <= set(group):
         return ""
     value, std = factor * float(group[name]), factor * float(group[f"{name}_std"])
@@ -47,18 +47,18 @@ def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> s
 
 
 def small(value: float, unit: str) -> str:
-    """Return a length or an angle as text, to two digits, such as "0.41 mm" or "below 0.001 mrad"."""
+    """Return a length or an angle with its unit as text, such as "0.41 mm" or "below 0.001 mrad"."""
     return f"{value:.2g} {unit}" if abs(value) >= 1e-3 else f"below 0.001 {unit}"
 
 
 def thinned(cube: xr.Dataset, *names: str) -> xr.Dataset:
-    """Return variables of a cube, loaded, at every n-th step: at most about `MAX_VALUES` values each."""
+    """Return variables of a cube, loaded, at every n-th step: about 8 million values of each at most."""
     size = cube.sizes["time"] * cube.sizes["y"] * cube.sizes["x"]
     return cube[list(names)].isel(time=slice(None, None, -(-size // MAX_VALUES))).load()
 
 
 def snapshot(cube: xr.Dataset) -> xr.Dataset:
-    """Return the step (y, x) of a cube, loaded, that has the most values of all steps near mid-record."""
+    """Return the step (y, x), loaded, with the most values of w within 10 steps of mid-record."""
     middle = cube.sizes["time"] // 2
     near = cube.isel(time=slice(max(0, middle - _SNAPSHOT_STEPS), middle + _SNAPSHOT_STEPS + 1))
     shares = np.isfinite(near.w).mean(("y", "x")).values
@@ -96,7 +96,7 @@ def in_light_sheet(run: Run) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class RunNumbers:
-    """Numbers of a run on coverage and status, each computed once for several sections."""
+    """Coverage of a run and status of its steps, with the fields they are computed from, for all sections."""
 
     run: Run
 

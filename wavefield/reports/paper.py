@@ -1,4 +1,4 @@
-"""The page with the figures and numbers of Aubourg et al. (2019) for another experiment."""
+"""The page that shows the figures and numbers of Aubourg et al. (2019) for the user's experiment."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,7 +44,7 @@ def paper(
     rest : path, optional
         Cube of still water from the same cameras; without it the figure of still water is left out.
     progress : callable, optional
-        Called with the number of sections drawn and of all sections.
+        Called with the number of sections drawn and the number of all sections.
 
     Returns
     -------
@@ -54,8 +54,8 @@ def paper(
     Raises
     ------
     StoreError
-        If a cube or its waves do not exist, or if the file cannot be written: `output` may be something else
-        than an earlier page.
+        If a cube or its waves do not exist, or if the file cannot be written, for example because `output`
+        exists and is not an earlier page.
 
     Examples
     --------

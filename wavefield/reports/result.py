@@ -36,7 +36,7 @@ def result(numbers: RunNumbers) -> ReportSection:
 
 
 def facts(numbers: RunNumbers) -> list[tuple[str, str, str]]:
-    """Return name, value and note of each main result, as text."""
+    """Return the main results (waves, velocity, coverage, ...): name, value and note of each, as text."""
     run, cube = numbers.run, numbers.run.cube
     rate, u, v, w = float(cube.attrs["frame_rate"]), *(number(100 * rms_of(numbers.part[n])) for n in "uvw")
     duration = cube.sizes["time"] / rate
@@ -65,7 +65,7 @@ def facts(numbers: RunNumbers) -> list[tuple[str, str, str]]:
 
 
 def _percent(share: float) -> str:
-    """Return a fraction as text in percent; only a fraction of exactly 1 becomes "100 %"."""
+    """Return the fraction `share` as text in percent; only exactly 1 becomes "100 %"."""
     if share == 1:
         return "100 %"
     return f"{min(100 * share, 99.99):.{4 if share > 0.99 else 3}g} %"
@@ -142,7 +142,8 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
 
 
 def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str]) -> list[tuple[str, str]]:
-    """Return a table row on the values that were measured without a camera, in percent of `n_in_view`."""
+    """Return a table row with the percentage of values measured without each camera; [] if all are 0.
+    `quality` has any shape; percentages are of `n_in_view`, the number of its values that cameras see."""
     shares = []
     for index, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(index) & ~Quality.FEWER_CAMERAS)
@@ -153,7 +154,7 @@ def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str
 
 
 def recipe(run: Run) -> ReportSection:
-    """Return the section on versions and on all settings that the run used for the cube."""
+    """Return the section "Recipe": versions, grid, frames, and all settings with which the cube was made."""
     attrs, made = run.cube.attrs, run.recipe
     stated = {name: attrs[name] for name in _STATED if name in attrs}
     stated |= {name: made[name] for name in ("algorithm", "frames", "grid") if name in made}

@@ -1,4 +1,4 @@
-"""Sections on spectra, and on the kinematic boundary condition and coherence."""
+"""A report's sections on spectra, and on the kinematic boundary condition and coherence."""
 
 import numpy as np
 import xarray as xr
@@ -92,7 +92,7 @@ def spectra(run: Run) -> ReportSection:
 
 
 def kinematics_picture(snap: xr.Dataset) -> Picture:
-    """Return maps of z, w, the nonlinear term and the residual at one step (y, x) of a cube."""
+    """Return a picture of z, w, u . grad z and the residual z_t - w + u . grad z at one step (y, x)."""
     terms = kinematics_at(snap)
     return Picture(
         figures.kinematics_maps(snap),
@@ -104,7 +104,7 @@ def kinematics_picture(snap: xr.Dataset) -> Picture:
 
 
 def coherence_picture(coherence: xr.Dataset) -> Picture:
-    """Return a picture of the coherence of z_t with other terms, from the group `/coherence` of the waves."""
+    """Return a picture of the coherence of z_t with w, -u . grad z and their sum, from group `/coherence`."""
     valid = coherence.where(coherence["valid"]) if "valid" in coherence else coherence
     total, nonlinear = (median_of(np.abs(valid.C.sel(term=term).values)) for term in ("tot", "nl"))
     return Picture(
@@ -118,7 +118,7 @@ def coherence_picture(coherence: xr.Dataset) -> Picture:
 
 
 def nonlinear_ratio_picture(kinematics: xr.Dataset) -> Picture:
-    """Return a picture of the ratio of nonlinear term to w, from the group `/kinematics` of the waves."""
+    """Return a picture of the ratio of u . grad z to w, from the group `/kinematics` of the wave store."""
     ratio = kinematics.nonlinear_ratio_k
     return Picture(
         figures.nonlinear_ratio_curves(kinematics),
