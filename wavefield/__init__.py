@@ -1,4 +1,4 @@
-"""Water-surface elevation and velocity from three cameras, and the waves in them."""
+"""Measure the elevation and velocity of a water surface with several cameras, and analyse its waves."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The command line where scripts of an environment are not on the path: ``python -m wavefield``."""
+"""Run the command line by ``python -m wavefield`` where the script ``wavefield`` is not on the path."""
 
 import sys
 

@@ -1,7 +1,7 @@
-"""Write files and folders completely or not at all, and never replace those of other programs.
+"""Write files and folders completely or not at all, and protect existing ones.
 
-Every output of wavefield ends with a mark: its kind, the identity of the data that it was made from, and a
-digest of its content. An existing file is replaced only by output of the same kind from the same data, and
+Most outputs of wavefield carry a mark: the kind of output, the identity of the data from which it was made,
+and a digest of its content. Such an output is replaced only by one of the same kind from the same data, and
 only if its content is unchanged since wavefield wrote it.
 """
 
@@ -35,19 +35,20 @@ MARK_ATTRIBUTE = "wavefield_mark"  # of the root of a Zarr store
 
 @dataclass(frozen=True)
 class Product:
-    """The mark of an output of wavefield: its kind, and the identity of the data it is made from."""
+    """What the mark of an output states: the kind of output, and the data from which it was made."""
 
     kind: str  # Such as "report" or "wave store", in small letters
-    source: str = "0" * 16  # Identity of the data that it is made from, as `identity_of` returns it
+    source: str = "0" * 16  # Identity of the data from which the output is made (`identity_of`)
 
 
 def identity_of(*parts: object) -> str:
-    """Return sixteen hexadecimal digits, a hash of `parts` as JSON, that identify data."""
+    """Return a hash of `parts`, written as JSON: sixteen hexadecimal digits that identify data."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
 def file_names(folder: Path) -> list[str]:
-    """Return the sorted paths, relative to a folder, of all files below it; links count as files."""
+    """Return the sorted paths, relative to a folder, of all files at any depth in this folder.
+    Links to folders are not followed, and count as files."""
     out = []
     for place, folders, files in os.walk(folder):
         links = [name for name in folders if os.path.islink(os.path.join(place, name))]
@@ -77,7 +78,7 @@ def read_mark(path: Path) -> Product | None:
 
 
 def has_mark(store: Path) -> bool:
-    """Whether a Zarr store has a mark of wavefield; whether it was changed since is not checked."""
+    """Whether a Zarr store has a mark of wavefield, even if its content was changed since."""
     with suppress(OSError):
         return MARK_ATTRIBUTE.encode() in (store / "zarr.json").read_bytes()
     return False
@@ -98,7 +99,7 @@ def write_mark(path: Path, product: Product) -> None:
 
 
 def _digest(path: Path) -> str:
-    """Return the digest of a file, or of all files of a Zarr store, without the mark in them."""
+    """Return the digest of the content of a file, or of all files of a Zarr store; the mark is left out."""
     digest = hashlib.blake2b(digest_size=16)
     if path.is_dir():
         for name in file_names(path):
@@ -123,9 +124,9 @@ def _digest(path: Path) -> str:
 
 
 def check_replaceable(path: Path, product: Product | None = None, replace: bool = False) -> None:
-    """Raise StoreError if something at `path` must not be replaced.
-    An empty folder may be replaced, and so may an unchanged output with the mark `product`. With `replace`
-    any plain file may be replaced. Links, pipes and devices must not be replaced."""
+    """Raise StoreError if `path` exists and must not be replaced.
+    An empty folder may be replaced, and so may an unchanged output with the mark `product`. If `replace` is
+    true, any plain file may be replaced. Links, pipes and devices must never be replaced."""
     try:
         mode = os.lstat(path).st_mode
     except FileNotFoundError:
@@ -155,8 +156,8 @@ def check_replaceable(path: Path, product: Product | None = None, replace: bool 
 
 
 def refuse_input(path: Path, *inputs: object) -> None:
-    """Raise StoreError if `path` is one of `inputs`, or is inside one of them that is a Zarr store.
-    Inputs are what the same command reads; those that are not paths are ignored."""
+    """Raise StoreError if the output `path` is one of `inputs`, or is inside a Zarr store among them.
+    `inputs` are the files and stores that the same command reads; entries that are not paths are ignored."""
     for one in inputs:
         if not isinstance(one, str | Path):
             continue
@@ -172,10 +173,10 @@ def atomic(
     path: str | Path, product: Product | None = None, *, replace: bool = False, inputs: Iterable[object] = ()
 ) -> Iterator[Path]:
     """Context manager: yield a temporary path for an output, which is renamed to `path` at the end.
-    If the block raises, `path` stays as it was. With a `product` the output gets its mark, and an output at
-    `path` is replaced only if it has the same mark and is unchanged. Without a product no output is replaced,
-    but `replace` allows to replace any plain file. `inputs` are files that the same command reads. StoreError
-    if `path` must not be replaced, is an input, or cannot be written."""
+    If the block raises, `path` stays as it was. With a `product` the output gets this mark, and may replace
+    an unchanged output of the same mark. With `replace` it may replace any plain file. `inputs` are files and
+    stores that the same command reads. StoreError if something at `path` must not be replaced, if `path` is
+    one of `inputs`, or if it cannot be written."""
     path = Path(path)
     with writing(path):
         refuse_input(path, *inputs)
@@ -199,8 +200,8 @@ def atomic(
 
 @contextmanager
 def _draft_folder(path: Path) -> Iterator[Path]:
-    """Context manager: yield a new, locked folder next to `path`, which is removed at the end.
-    It first removes such folders that killed processes have left."""
+    """Context manager: yield a new, locked folder next to `path`, and remove this folder at the end.
+    Folders of this kind that killed processes have left are removed at the start."""
     remove_leftovers(path)
     folder = path.with_name(f"{_DRAFT}{uuid.uuid4().hex}")
     at_exit = functools.partial(shutil.rmtree, folder, ignore_errors=True)
@@ -219,8 +220,8 @@ def _draft_folder(path: Path) -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder and its content, also if a signal interrupts; then raise the interruption.
-    It is tried for some seconds, since threads of Zarr may still write into the folder."""
+    """Remove a folder and its content; an interruption by a signal is raised only afterwards.
+    Attempts are repeated for some seconds, since threads of Zarr may still write into the folder."""
     stop: BaseException | None = None
     for _ in range(_REMOVALS):
         try:
@@ -260,7 +261,8 @@ def remove_leftovers(path: Path) -> None:
 
 
 def make_durable(paths: Iterable[Path]) -> None:
-    """Wait until files and folders that exist are on the disk (fsync); OSError if the disk fails."""
+    """Wait until files and folders are on the disk (fsync); OSError if the disk fails.
+    Paths that do not exist, or that the user may not read, are skipped."""
     for path in paths:
         try:
             number = os.open(path, os.O_RDONLY)
@@ -276,7 +278,7 @@ def make_durable(paths: Iterable[Path]) -> None:
 
 
 def write_text(path: str | Path, text: str, product: Product | None = None, *, replace: bool = False) -> None:
-    """Write a text file (UTF-8) as `atomic` does, completely or not at all."""
+    """Write a text file (UTF-8), completely or not at all; `product` and `replace` are those of `atomic`."""
     with atomic(path, product, replace=replace) as draft:
         draft.write_text(text, encoding="utf-8")
 
@@ -284,7 +286,8 @@ def write_text(path: str | Path, text: str, product: Product | None = None, *, r
 def check_writable(
     path: str | Path, product: Product | None = None, *, inputs: Iterable[object] = ()
 ) -> None:
-    """Raise StoreError if `atomic` could not write `path` with the same arguments; make its folder."""
+    """Raise StoreError if `atomic` could not write `path` with these arguments.
+    The folder that contains `path` is created if it is absent."""
     path = Path(path)
     with writing(path):
         refuse_input(path, *inputs)
@@ -296,7 +299,7 @@ def check_writable(
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Context manager: replace an OSError in the block by a StoreError that names `path` and a remedy."""
+    """Context manager: turn an OSError of the block into a StoreError that names `path` and a remedy."""
     try:
         yield
     except OSError as error:
@@ -304,7 +307,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def write_error(path: Path, error: OSError) -> StoreError:
-    """Return the StoreError to raise for an OSError while writing; its message tells the remedy."""
+    """Return the StoreError to raise in place of `error`, which occurred while `path` was written."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return StoreError(
             f"the disk that holds {path} is full, or a quota is used up; nothing that was written is lost: "

@@ -21,8 +21,9 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 
 def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
     """Decorator: compile a loop over plain arrays with numba, and keep the compiled code on disk.
-    Each numba type in `signature` is compiled when the decorator is applied; without a signature the loop is
-    compiled at its first call. `options` are those of `numba.njit`. The loop runs without the GIL."""
+    `signature` are numba's function types, or lists of them, for which the loop is compiled at once, and only
+    for these. Without a signature it is compiled when it is first called. `options` are those of
+    `numba.njit`. The loop runs without the GIL."""
     njit: Any = numba.njit  # its type hints do not accept options as a mapping
 
     def decorate(loop: Loop) -> Loop:
@@ -46,7 +47,8 @@ def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
 
 class _CompiledFiles:
     """The files with the compiled code of one loop, one file for each combination of argument types.
-    They are named by a hash of sources, types and processor, so that processes need no lock and no index."""
+    Their names contain a hash of sources, types and processor, so that processes need no lock and no index.
+    numba calls `save` and `load`."""
 
     def __init__(self, folder: Path, base: str, loop: Callable[..., object]) -> None:
         self._folder, self._base = folder, base
@@ -70,7 +72,8 @@ class _CompiledFiles:
                     old.unlink()
 
     def load(self, key: object) -> Any:
-        """Return the compiled code for `key`, numba's key of types and processor; None if it is damaged."""
+        """Return the compiled code for `key`, numba's key of argument types and processor.
+        None if there is no such file, or if it is damaged."""
         try:
             stored = self._path(key).read_bytes()
         except OSError:
@@ -91,8 +94,8 @@ class _CompiledFiles:
 
 @functools.cache
 def _digest_of_sources(folder: Path) -> str:
-    """Return a digest of all sources in a folder that contain compiled loops.
-    A change of one source changes it for all, because compiled loops contain the loops they call."""
+    """Return one digest of all sources in a folder that contain compiled loops.
+    The sources share it, because compiled loops contain the loops they call, from other sources too."""
     digest = hashlib.sha256()
     for path in sorted(folder.glob("*.py")):
         source = path.read_bytes()

@@ -39,7 +39,7 @@ MAX_NAME_BYTES = 255  # of a file or folder, on Linux, macOS and Windows
 
 
 def safe_name(name: str) -> str:
-    """Return `name` unchanged; ValueError unless it can be a file name on Linux, macOS and Windows."""
+    """Return `name` unchanged; ValueError if it cannot be a file name on Linux, macOS or Windows."""
     odd = _NOT_IN_NAMES.search(name) or _RESERVED_NAMES.fullmatch(name)
     if odd or not name.strip() or name != name.strip() or name.strip(".") == "" or len(name) > _MAX_NAME:
         raise ValueError(f"{name[:40]!r} cannot be part of a file's name; use letters, digits, - and _")
@@ -47,8 +47,9 @@ def safe_name(name: str) -> str:
 
 
 def portable_path(path: str) -> str:
-    r"""Return `path` unchanged; ValueError if a name in it is over 255 bytes, or if \ separates folders.
-    A backslash is allowed on Windows and in the path of a file that exists. An address is not checked."""
+    r"""Return a path unchanged; ValueError if it cannot be used on Linux, macOS and Windows alike.
+    ValueError for names of over 255 bytes, for control characters, and for backslashes. Backslashes are
+    accepted on Windows, and elsewhere if `path` exists. A URL, with ://, is not checked."""
     if "://" in path:  # an address, which may contain a password
         return path
     if any(len(part.encode()) > MAX_NAME_BYTES for part in path.split("/")):
@@ -65,14 +66,16 @@ PathText = Annotated[str, AfterValidator(portable_path)]
 
 
 class ConfigSection(BaseModel):
-    """Base class of the sections of a settings file; unknown keys and infinite numbers raise errors."""
+    """Base class of the sections of a settings file, which are immutable.
+    Unknown keys, infinity and NaN raise errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
 
 
 def load(kind: type[T], path: Path, data: Mapping[str, object] | None = None) -> T:
-    """Return a YAML file as a section (pydantic model or dataclass) of type `kind`, with checked values.
-    `data` is the file's content if it was read already. ExperimentError names the line and the remedy."""
+    """Read a YAML file, check its values, and return them as a `kind`: a pydantic model or a dataclass.
+    `data` is the file's content if it was read already. ExperimentError, which names the line and the remedy,
+    if the file cannot be read or a value is wrong."""
     return make(kind, read_yaml(path) if data is None else data, path=path)
 
 
@@ -85,10 +88,10 @@ def make(
     name: str = "",
     error: type[WavefieldError] = ExperimentError,
 ) -> T:
-    """Return plain data as a section (pydantic model or dataclass) of type `kind`, with checked values.
-    Raises `error`, with up to four problems, if the data are wrong. The other arguments serve its message:
-    `path` is the file that the data come from, `location` the keys that lead to them in it, `name` what they
-    are called without a file."""
+    """Check plain data, and return them as a `kind`: a pydantic model or a dataclass.
+    Raises `error`, which lists up to four problems, if the data are wrong. The other arguments serve the
+    message: `path` is the file that contains the data, under the keys `location`; `name` is what the message
+    calls data that are not from a file."""
     try:
         made = TypeAdapter(kind).validate_python(dict(data))
     except WavefieldError as found:  # a section's own sentence
@@ -106,7 +109,7 @@ def make(
 
 
 def _joined(messages: Sequence[tuple[str, str]]) -> str:
-    """Return one message from problems, pairs (place, words), of which the first four are listed."""
+    """Return one message from pairs (place in the file, description of a problem); it lists four of them."""
     by_place: dict[str, list[str]] = {}
     listed: set[str] = set()
     for where, words in messages[:_MAX_MESSAGES]:
@@ -198,7 +201,8 @@ def _text(path: Path) -> str:
 
 
 def _compose(path: Path) -> yaml.Node | None:
-    """Return the YAML nodes of a file, which have line numbers; ExperimentError if it is not YAML."""
+    """Return the root of a file's tree of YAML nodes, which have line numbers; None if the file is empty.
+    ExperimentError if it is not YAML."""
     text = _text(path)
     try:
         return yaml.compose(text, Loader=_Loader)
@@ -209,7 +213,7 @@ def _compose(path: Path) -> yaml.Node | None:
 
 
 def _not_yaml(path: Path, error: Exception) -> ExperimentError:
-    """Return the error to raise if PyYAML cannot read a file."""
+    """Return the error to raise for `error`, with which PyYAML refused the file `path`."""
     mark = getattr(error, "problem_mark", None)
     where = f", line {mark.line + 1}" if mark else ""
     problem = getattr(error, "problem", None) or "not YAML"
@@ -223,7 +227,7 @@ def _not_yaml(path: Path, error: Exception) -> ExperimentError:
 
 
 def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
-    """Yield each key that is repeated in a mapping, at any depth, as the nodes of both its places."""
+    """Yield two YAML nodes for each key that a mapping, at any depth, repeats: its first and later place."""
     seen: dict[str, yaml.Node] = {}
     for part in node.value if isinstance(node, yaml.CollectionNode) else ():
         key, value = part if isinstance(part, tuple) else (None, part)
@@ -236,14 +240,14 @@ def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
 
 
 def file_and_line(path: Path, location: Sequence[Key]) -> str:
-    """Return "FILE, line N" for a value; `location` are the keys and indices that lead to the value."""
+    """Return "FILE, line N" for a value; `location` are the keys and indices that lead to this value."""
     line = _line(_compose(path), location)
     return f"{path}, line {line}" if line else str(path)
 
 
 def _line(node: yaml.Node | None, location: Sequence[Key]) -> int | None:
-    """Return the line number, from 1, of a location (keys and indices) in a YAML file, or None.
-    If the last keys are not in the file, it is the line of the deepest one that is."""
+    """Return the line number, from 1, of the value to which keys and indices (`location`) lead from `node`.
+    Keys that are not in the file are skipped; None if all are."""
     line = None
     for step in location:
         found = None
@@ -271,8 +275,9 @@ def _sentence(
     location: Sequence[Key],
     name: str,
 ) -> tuple[str, str]:
-    """Return where a problem is (file and line) and its description, from an error of pydantic.
-    `node` is the content of the file as YAML nodes, `location` the keys that lead to the section in it."""
+    """Return where a problem is ("FILE, line N") and its description, from an error of pydantic.
+    `kind` is the type of the section that is wrong, `node` the root of the file's YAML nodes, and `location`
+    the keys that lead from this root to the section. Without a file (`path`) the place is `name`."""
     inner = list(problem["loc"])
     line = _line(node, [*location, *inner])
     where = (f"{path}, line {line}" if line else str(path)) if path else name
@@ -286,7 +291,8 @@ def _sentence(
 
 
 def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool:
-    """Whether an error only says that a value lacks one of several forms, and another error says more."""
+    """Whether an error of pydantic can be left out, because another one says more about the same value.
+    Pydantic reports an error for each form that the value could have, such as a word or a mapping."""
     place = problem["loc"][:-1]
     others = [other for other in wrong if other is not problem and other["loc"][: len(place)] == place]
     if problem["type"] == "literal_error" and isinstance(problem["input"], Mapping):
@@ -296,7 +302,8 @@ def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool
 
 
 def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
-    """Return the message for one error of pydantic, without the key; `kinds` are the sections there."""
+    """Return the message for one error of pydantic, without the key that is wrong.
+    `kinds` are the types of section that could have this key."""
     sort, message = problem["type"], str(problem["msg"])
     if sort in _UNKNOWN:
         known = list(dict.fromkeys(name for member in kinds for name in _fields(member)))
@@ -318,8 +325,8 @@ def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
 
 def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any], str | None]:
     """Follow the location of an error of pydantic through the types of a section.
-    Returns the keys of the location that are in the file, the sections that could have the last key, and an
-    example of its value (or None). `kind` is the type of the outermost section."""
+    Returns the keys of the location that are in the file, the types of section that could have the last of
+    these keys, and an example of a value for it (or None). `kind` is the type of the outermost section."""
     names: list[Key] = []
     sections = annotations = _members(kind)
     example = None
@@ -342,7 +349,8 @@ def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any]
 
 
 def _is_branch(step: Key, annotations: Sequence[object]) -> bool:
-    """Whether a part of the location of a pydantic error names a type in a union ("str") and is no key."""
+    """Whether a part of the location of a pydantic error is not a key, but the name of a type ("str").
+    Pydantic adds it where several types (`annotations`) are allowed."""
     if not isinstance(step, str):
         return False
     classes = [getattr(member, "__name__", "") for member in annotations]

@@ -22,11 +22,11 @@ class RigError(WavefieldError):
 
 
 class CalibrationError(WavefieldError):
-    """The target images do not give a rig that can be trusted."""
+    """The images of the calibration target are missing, or do not give a rig that can be trusted."""
 
 
 class StoreError(WavefieldError):
-    """A cube or wave store cannot be written, resumed or read."""
+    """An output (cube, wave store, report, export, ...) cannot be written, resumed or read."""
 
 
 class RunStopped(WavefieldError):

@@ -9,12 +9,12 @@ MOST_NODES = 20_000_000  # one node per pixel of a camera of 20 Mpx; more is a w
 
 @dataclass(frozen=True)
 class Grid:
-    """Nodes of a regular grid on the plane of the water at rest.
+    """Nodes of a regular grid on the plane of the water at rest, z = 0.
 
     Parameters
     ----------
     x, y : tuple of float
-        First and last node along each axis, metres.
+        Lower and upper limit along each axis, metres. The first node is at the lower limit.
     step : float
         Distance between nodes, metres; the same along both axes.
 
@@ -51,7 +51,7 @@ class Grid:
             )
 
     def _axis(self, ends: tuple[float, float]) -> np.ndarray:
-        """Return the positions of the nodes between two ends, metres."""
+        """Return the positions of the nodes between two limits (`ends`) along an axis, (n,), metres."""
         # rounded to the nanometre, so that 0.1 + 0.2 is 0.3
         n = int(np.floor((ends[1] - ends[0]) / self.step + 1e-6)) + 1
         return np.round(ends[0] + self.step * np.arange(n), 9)
@@ -74,7 +74,7 @@ class Grid:
 
 def largest_rectangle(mask: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return the largest rectangle of a mask (ny, nx) in which all nodes are true.
-    It is the range of its rows (start, stop) and of its columns (start, stop); `stop` is excluded."""
+    The result is its range of rows (start, stop) and its range of columns (start, stop), stop excluded."""
     ny, nx = mask.shape
     height = np.zeros(nx, int)
     best, where = 0, ((0, 0), (0, 0))

@@ -1,4 +1,4 @@
-"""Durations, ranges of numbers and small tables for people, the same everywhere."""
+"""Write durations, ranges of numbers and small tables for people, in the same form everywhere."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -31,8 +31,9 @@ def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
 
 
 def spell_uncertain(value: float, std: float, unit: str) -> str:
-    """Return a value and its standard uncertainty, rounded to its two digits: "0.37926 +- 0.00015 m".
-    If the uncertainty is not finite, the text is the value alone."""
+    """Return a value and its standard uncertainty as text, such as "0.37926 +- 0.00015 m".
+    The uncertainty has two significant digits, and the value as many decimals. If the uncertainty is not
+    finite, the text is the value alone, with two decimals."""
     if not math.isfinite(std):
         return f"{value:.2f} {unit}"
     digits = max(1 - math.floor(math.log10(std)), 0) if std > 0 else 2
@@ -50,7 +51,8 @@ def one_line(error: object) -> str:
 
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table as HTML text, for notebooks; an empty `head` gives a table without a header row."""
+    """Return a table as HTML text, for notebooks, with a `title`, a header row and rows of cells.
+    If `head` is empty, there is no header row."""
     lines = [("th", head), *(("td", row) for row in rows)]
     text = "".join(
         "<tr>" + "".join(f"<{kind}>{escape(str(cell))}</{kind}>" for cell in line) + "</tr>"

@@ -18,7 +18,7 @@ WATER = ("water_depth", "surface_tension_over_density")  # attributes of a cube 
 
 
 def tension_over_density(surface_tension: float | None = None, density: float | None = None) -> float:
-    """Return surface tension (N/m) over density (kg/m3), in m3 s-2; None is that of clean water at 20 C."""
+    """Return surface tension (N/m) over density (kg/m3), in m3 s-2; None stands for clean water at 20 C."""
     tension = SURFACE_TENSION if surface_tension is None else surface_tension
     return float(tension) / float(density or DENSITY)
 
@@ -34,8 +34,9 @@ def water_of(attributes: Mapping[str, str | float], depth: float | None = None) 
 
 
 def stated_water(attributes: Mapping[str, Any]) -> dict[str, float]:
-    """Return the water's attributes of a cube (the names in `WATER`) as numbers, by name.
-    Attributes that are absent or infinite, and the depth "deep", are left out."""
+    """Return the depth, m, and the surface tension over density, m3/s2, that a cube's attributes state.
+    They are numbers by the names in `WATER`; an absent or infinite value, or the depth "deep", is left
+    out."""
     given = {name: attributes[name] for name in WATER if attributes.get(name) not in (None, "", "deep")}
     return {name: float(value) for name, value in given.items() if np.isfinite(float(value))}
 
@@ -59,7 +60,7 @@ def dispersion(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: flo
 
     Examples
     --------
-    The paper's k / 2 pi = 20 1/m is a wave of 5.9 Hz:
+    A wave of k / 2 pi = 20 1/m on water 0.7 m deep has a frequency of 5.9 Hz:
 
     >>> round(float(dispersion(2 * np.pi * 20, 0.7)) / (2 * np.pi), 1)
     5.9

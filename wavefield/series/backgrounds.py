@@ -19,7 +19,7 @@ Image = NDArray[Any]
 
 
 def mean_image(series: FrameSeries, frames: int) -> Image:
-    """Return the mean of some evenly spaced frames of a camera, (row, column), in the type of the frames.
+    """Return the mean of at most `frames` evenly spaced frames of a camera, (row, column), in their type.
     Bad frames among them are left out; FrameError if none of them can be read."""
     total, count = np.zeros(series.shape), 0
     for index in evenly_spaced(len(series), frames):
@@ -39,8 +39,9 @@ def read_backgrounds(
     experiment: Path,
 ) -> dict[str, Image]:
     """Return the background images, (row, column), by camera; cameras without one are left out.
-    `named` is the key ``background`` of the experiment file, and `resolve` turns a name in it into a path.
-    ExperimentError, which names the experiment file, if an image cannot be read."""
+    `named` is the value of the key ``background``: a file name with ``{camera}``, or file names by camera.
+    `resolve` turns a file name into a path. ExperimentError, which names the experiment file `experiment`, if
+    an image cannot be read."""
     files = {name: named if isinstance(named, str) else (named or {}).get(name) for name in cameras}
     out = {}
     for name, file in files.items():
@@ -58,7 +59,8 @@ def read_backgrounds(
 def refuse_other_images(
     background: Image, name: str, shape: tuple[int, ...], dtype: str, experiment: Path
 ) -> None:
-    """Raise ExperimentError if the background of camera `name` has another shape or type than its frames."""
+    """Raise ExperimentError if the background of the camera `name` does not fit the camera's frames.
+    `shape` (rows, columns) and `dtype` are those of the frames, and `experiment` is the experiment file."""
     if background.shape != shape or background.dtype != dtype:
         raise ExperimentError(
             f"{experiment}: background of {name}: it is {background.shape[1]} x {background.shape[0]} "
@@ -73,8 +75,9 @@ def with_backgrounds(
     resolve: Callable[[str], Path],
     experiment: Path,
 ) -> dict[str, FrameSeries]:
-    """Return the frames of each camera, from which the camera's background will be subtracted.
-    ExperimentError if a background cannot be read, or differs from the frames in shape or type."""
+    """Return the frames of each camera such that reading one subtracts the camera's background from it.
+    The arguments are those of `read_backgrounds`. ExperimentError if a background cannot be read, or differs
+    from the frames in shape or type."""
     images = read_backgrounds(named, series, resolve, experiment)
     for name, image in images.items():
         refuse_other_images(image, name, series[name].shape, series[name].dtype, experiment)
@@ -82,7 +85,8 @@ def with_backgrounds(
 
 
 def checksums(series: Mapping[str, FrameSeries]) -> dict[str, str]:
-    """Return the checksum of each background, by camera, for a recipe; empty without backgrounds."""
+    """Return the checksum of each camera's background by camera name; empty without backgrounds.
+    The checksums become part of the recipe (the record of all inputs) of a cube."""
     return {
         name: hashlib.sha256(np.ascontiguousarray(one.background).tobytes()).hexdigest()[:16]
         for name, one in series.items()
@@ -93,9 +97,9 @@ def checksums(series: Mapping[str, FrameSeries]) -> dict[str, str]:
 def write_backgrounds(
     series: Mapping[str, FrameSeries], folder: Path, frames: int, source: str = ""
 ) -> list[Path]:
-    """Write the mean of `frames` frames of each camera to folder/CAMERA.tif, and return these paths.
+    """Write the mean of `frames` frames of each camera to `folder`/CAMERA.tif, and return these paths.
     `source` identifies the experiment (`identity_of`). An existing file is replaced only if it is an
-    unchanged background from the same source; otherwise a StoreError is raised."""
+    unchanged background of the same experiment; otherwise StoreError is raised."""
     product = Product("background", source or identity_of())
     files = {name: folder / f"{name}.tif" for name in series}
     for file in files.values():

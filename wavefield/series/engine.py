@@ -1,4 +1,7 @@
-"""The xarray engine: ``xr.open_datatree("experiment.yaml", engine="wavefield")``, or a cube's store."""
+"""The xarray engine "wavefield" for experiment files: ``xr.open_datatree(path, engine="wavefield")``.
+
+It also opens the stores of cubes and of smoothed fields, by ``xr.open_dataset``.
+"""
 
 import warnings
 from collections.abc import Iterable
@@ -22,7 +25,7 @@ CHUNK_BYTES = 100_000_000  # size of a Dask chunk of images
 
 
 class FrameWarning(UserWarning):
-    """A frame is missing or bad; zeros take its place."""
+    """Warns that a missing or bad frame is replaced by zeros, or that masks are not applied to frames."""
 
 
 class FrameArray(BackendArray):
@@ -58,7 +61,7 @@ class FrameArray(BackendArray):
 
 
 class ExperimentBackend(BackendEntrypoint):
-    """Opens lazily the images of an experiment as a tree, and a cube or smoothed fields as a Dataset."""
+    """Opens the images of an experiment as a tree, and a cube or smoothed fields as a Dataset, lazily."""
 
     description = "cubes, and image series of the cameras of an experiment file"
     open_dataset_parameters = ("filename_or_obj", "drop_variables", "group")
@@ -113,7 +116,8 @@ class ExperimentBackend(BackendEntrypoint):
 
 
 def _cube(path: Path) -> xr.Dataset:
-    """Return a cube as `open_cube` does; ``chunks={}`` then gives chunks of ``steps_per_block`` steps."""
+    """Return a cube as `open_cube` does, but without Dask chunks.
+    If the user passes ``chunks={}`` to xarray, the Dask chunks have ``steps_per_block`` steps."""
     cube = open_cube(path, None)
     for variable in cube.variables.values():
         if "time" in variable.dims:
@@ -124,7 +128,7 @@ def _cube(path: Path) -> xr.Dataset:
 
 def _smoothed(path: Path) -> xr.Dataset:
     """Return the fields that `wavefield smooth` wrote to `path`, lazily; StoreError for anything else.
-    Zarr alone would return missing values for a file that was lost."""
+    All files are checked first, because Zarr would return missing values for a file that was lost."""
     mark = read_mark(path)
     if mark is None or mark.kind != "smoothed fields":
         what = "is not as it was written: make it again" if mark is None else f"is a {mark.kind}"
@@ -135,7 +139,8 @@ def _smoothed(path: Path) -> xr.Dataset:
 
 def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
     """Return a Dataset of one camera: ``image`` (time, row, column) and ``present`` (time).
-    The delays of the frames, (n,), in frame intervals, if any, become the coordinate ``departure``."""
+    ``present`` is false at missing frames. `departures`, the delays of the frames (n,) in frame intervals,
+    become the coordinate ``departure``; None stands for no delays."""
     array = FrameArray(series)
     image = xr.Variable(
         ("time", "row", "column"),
@@ -156,7 +161,8 @@ def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
 
 
 def _root(experiment: Experiment, series: FrameSeries) -> xr.Dataset:
-    """Return the times, s, and numbers of the frames, with the attributes of the experiment."""
+    """Return a Dataset with the times, s, and the numbers of the frames as coordinates, for all cameras.
+    Its attributes are the name of the experiment, the frame rate, and the properties of the water."""
     number = series.first + np.arange(len(series))
     return xr.Dataset(
         coords={

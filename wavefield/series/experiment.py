@@ -34,7 +34,7 @@ from wavefield.series.probes import read_probes
 from wavefield.series.record import open_record
 from wavefield.text import html_table
 
-SAME_PLACE = 1e-4  # distance between two cameras over that to the water; nearer ones have no parallax
+SAME_PLACE = 1e-4  # distance between two cameras over one's distance from the origin; below, no parallax
 
 
 class Experiment(RecordSection):
@@ -182,7 +182,7 @@ class Experiment(RecordSection):
         return self._path.parent / (self.folder or "")
 
     def resolve(self, name: str | Path) -> Path:
-        """Return the absolute path of a file, other than an image, as the experiment file names it.
+        """Return the absolute path of a file (but not of an image) from its name in the experiment file.
         In the name, ``{folder}`` stands for the folder of the images."""
         return self._path.parent / str(name).replace("{folder}", str(self.image_folder))
 
@@ -213,7 +213,8 @@ class Experiment(RecordSection):
         Raises
         ------
         ExperimentError
-            If images are missing or cannot be numbered, or if the cameras share no two frame numbers.
+            If images are missing or cannot be numbered, or if the cameras' ranges of frame numbers have fewer
+            than two numbers in common.
         """
         series = open_record(self, self._path, self.image_folder, self.measuring_cameras)
         return with_backgrounds(series, self.background, self.resolve, self._path)
@@ -251,7 +252,7 @@ class Experiment(RecordSection):
         ------
         RigError
             If there is no rig, or the rig lacks a measuring camera, was made for images of another size, or
-            has two cameras in one place.
+            has two cameras at the same position.
         """
         source: Path | dict[str, Path] = self.rig_paths[0] if path is None else Path(path)
         if path is None and isinstance(self.rig, dict):
@@ -281,8 +282,9 @@ class Experiment(RecordSection):
             The calibrated cameras.
         settings : mapping, optional
             Settings of the measurement; by default those of the experiment file. An automatic grid stays in
-            view at all elevations of ``z_range``, or of plus and minus half the ``sheet_thickness``. Without
-            either setting the elevations are plus and minus 1 % of the nearest camera's distance.
+            view at all elevations within ``z_range``, or else within plus and minus half of
+            ``sheet_thickness``. Without these settings the limits are plus and minus 1 % of the distance of
+            the nearest camera.
 
         Raises
         ------
@@ -307,8 +309,8 @@ class Experiment(RecordSection):
 
 
 def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries) -> None:
-    """Raise RigError if a rig was made for images of another size, (width, height), than those of a camera.
-    The message says so if the axes of the images are in another order."""
+    """Raise RigError if a camera's images do not have the `size`, (width, height) in px, stated in its rig.
+    The message tells if the axes of the images seem to be in another order; `source` names the rig file."""
     rows, columns = series.shape
     if size == (columns, rows):
         return
@@ -326,7 +328,7 @@ def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries
 
 
 def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
-    """Raise RigError if two of the named cameras are at the same position."""
+    """Raise RigError if two of the cameras `names` are at the same position; `source` is the rig file."""
     if rig.lenses_alone:
         return
     for k, one in enumerate(names):
@@ -338,8 +340,8 @@ def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
 
 def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, float] | None:
     """Return the elevations, m, at which an automatic grid has to stay in the cameras' view.
-    The setting `z_range` gives a pair (low, high), and `sheet_thickness` half of it, for up and down. None
-    if neither is set."""
+    The setting `z_range` gives a pair (low, high). Otherwise half of the setting `sheet_thickness` is a limit
+    both upwards and downwards. None if neither is set, or if the setting is not valid."""
     try:
         if settings.get("z_range"):
             low, high = settings["z_range"]

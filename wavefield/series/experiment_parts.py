@@ -82,7 +82,7 @@ class RecordSection(ConfigSection):
 
 
 class CalibrationSection(ConfigSection):
-    """Target images, and what the target is."""
+    """Images of the calibration target, and what the target is."""
 
     target: dict[str, Any] = Field(examples=["{kind: strings, mesh: 0.10}"], description="see below")
     tilted: PathText | list[PathText] = Field(
@@ -117,19 +117,22 @@ class CalibrationSection(ConfigSection):
 
 
 class SurfaceSection(ConfigSection):
-    """Pairs of cameras that give z."""
+    """Pairs of cameras that give z.
+    The surface elevation z follows from the parallax between the two images of each pair."""
 
     pairs: list[tuple[str, str]] = Field(examples=["[[cam3, cam1], [cam3, cam2]]"], min_length=1)
 
 
 class VelocitySection(ConfigSection):
-    """Cameras that give u, v, w."""
+    """Cameras that give u, v, w.
+    The velocity of the water follows from displacements in their images between frames."""
 
     cameras: list[str] = Field(examples=["[cam1, cam2]"], min_length=2)
 
 
 class GridSection(ConfigSection):
-    """Nodes of the grid."""
+    """Nodes of the grid.
+    The nodes are the positions at which the water is measured, between limits along x and y."""
 
     x: tuple[float, float] | None = Field(default=None, examples=["[-1.0, 1.0]"], description=_NODES)
     y: tuple[float, float] | None = Field(default=None, examples=["[-0.75, 0.75]"], description=_NODES)
@@ -145,7 +148,8 @@ class GridSection(ConfigSection):
 
 
 class WaterSection(ConfigSection):
-    """Properties of the water."""
+    """Properties of the water.
+    They are its depth, still level, density and surface tension."""
 
     depth: float | None = Field(default=None, gt=0, le=12_000, examples=["0.70"], description="depth, m")
     level: float = Field(default=0.0, description="still water above z = 0 of the rig file, m")
@@ -157,7 +161,7 @@ class WaterSection(ConfigSection):
     )
 
     def attributes(self) -> dict[str, float]:
-        """Return the attributes of cubes and frames about the water; values that are not given are left out.
+        """Return the water's properties as attributes of a dataset; those not in the file are left out.
         They are ``water_depth``, m, and ``surface_tension_over_density``, m3 s-2."""
         out = {} if self.depth is None else {"water_depth": self.depth}
         if self.surface_tension is not None or self.density is not None:

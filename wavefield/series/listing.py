@@ -1,7 +1,8 @@
 """The frame number of every image of a camera, from the names in the experiment file.
 
-A frame's place comes from its number (in its name, in its file, or from its time stamp), never from its
-rank in a listing: a missing file must not shift the rest.
+The number is in the file's name, is the index of the image in a file of many images, or follows from a time
+stamp. The images of a list in the experiment file are counted through the list. A number never comes from the
+position of a file in the listing of a folder, because a missing file would shift the others.
 """
 
 import os
@@ -28,7 +29,7 @@ FRAME = re.compile(r"\{frame(?::0?(\d*)d?)?\}")
 
 def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
     """Return the frames of a camera by frame number, from its entry `images` in the experiment file.
-    ExperimentError if images are missing or cannot be numbered."""
+    Relative names start from `folder`. ExperimentError if images are missing or cannot be numbered."""
     if not isinstance(images, str):
         return _from_list(images, folder, camera)
     name = images.replace("{camera}", camera)
@@ -48,7 +49,7 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
 
 
 def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
-    """Return the kind ("file" or "images") and the number of images of a file or store.
+    """Return the kind of a file or store ("file" for one image, "images" for many), and its image count.
     ExperimentError if the file is missing or damaged, or states over five million images."""
     try:
         kind, count = count_images(path)
@@ -63,8 +64,9 @@ def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
 
 
 def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbered:
-    """Return the frames of a list of files by frame number; the images are numbered on from 0.
-    An entry None or a file that does not exist leaves one number without a frame."""
+    """Return the frames of a list of files by frame number; their images are counted through from 0.
+    An entry None, or a file that does not exist, leaves one number without a frame. ExperimentError if none
+    of the files exists."""
     out: Numbered = {}
     number = 0
     for item in images:
@@ -81,7 +83,8 @@ def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbe
 
 
 def _names(path: Path, camera: str) -> dict[int, str]:
-    """Return the names of the files that match a pattern (``cam1/img_{frame}.tif``), by frame number."""
+    """Return the names of the files that match a pattern (``cam1/img_{frame}.tif``), by frame number.
+    ExperimentError if the folder cannot be read, or if no file matches."""
     folder, pattern = path.parent, path.name
     try:
         names = os.listdir(folder)
@@ -126,8 +129,9 @@ def make_series(
     numbered: Mapping[str, Numbered], first: int, last: int, clocks: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, FrameSeries]:
     """Return one series per camera, over the frame numbers `first` to `last`, both included.
-    `numbered` has the frames of each camera by number. `clocks` has the times, s, of all frames of a camera,
-    in order; cameras without times are absent. One frame of each camera is read, for shape and type."""
+    `numbered` has the frames of each camera by number. `clocks` has, by camera, the times (s) of all frames
+    in the order of their numbers; cameras without times are absent. One frame of each camera is read, to
+    learn the shape and type of the images."""
     out = {}
     for camera, frames in numbered.items():
         entries = [frames.get(number) for number in range(first, last + 1)]
@@ -140,7 +144,8 @@ def make_series(
 
 
 def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tuple[int, int], str]:
-    """Return shape (rows, columns) and type of the first of five frames of the record that is readable."""
+    """Return the shape (rows, columns) and type of a camera's images, from the first frame that is readable.
+    Five frames, evenly spaced over the record, are tried; ExperimentError if none is readable."""
     present = [entry for entry in entries if entry is not None]
     tried = [present[k] for k in from_first_to_last(len(present), 5)] if present else []
     problem = "there are none in the range of frames"

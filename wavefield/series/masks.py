@@ -54,7 +54,7 @@ def normalized(masks: object, cameras: Collection[str]) -> object:
 
 
 def footprints(masks: Mapping[str, Sequence[MaskSection]]) -> tuple[Outline, ...]:
-    """Return the outlines (x, y), m, of the masks on the water."""
+    """Return the outline of each mask on the water: the corners (x, y), m, of its polygon."""
     return tuple(tuple(shape.polygon) for shape in masks.get(WATER, ()) if shape.polygon is not None)
 
 
@@ -64,9 +64,10 @@ def covered_series(
     rig: Rig,
     folder: Path,
 ) -> dict[str, FrameSeries]:
-    """Return the frames of each camera with the camera's own masks and the masks on the water.
-    `masks` is the block ``mask`` of the experiment file, `folder` that of its images, and the `rig` projects
-    masks on the water. ExperimentError if a mask image is bad, or if the masks cover a whole image."""
+    """Return the frames of each camera, masked by the camera's own masks and by the masks on the water.
+    `masks` is the block ``mask`` of the experiment file, `folder` the folder of the mask images. The `rig`
+    projects masks on the water into the images. ExperimentError if a mask image is bad, or if masks cover a
+    whole image."""
     out = {}
     for name, frames in series.items():
         own, on_water = masks.get(name, ()), masks.get(WATER, ())
@@ -94,7 +95,7 @@ def covered_series(
 
 def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
     """Return the outline of a mask on the still water, as (column, row) in px of a camera's image.
-    It is empty if the mask is out of the camera's view."""
+    It is empty if the mask is out of the camera's view, or partly behind the camera."""
     p = np.array(shape.polygon)
     t = np.arange(POINTS_PER_SIDE)[:, None] / POINTS_PER_SIDE
     edge = np.concatenate([a + t * (b - a) for a, b in zip(p, np.roll(p, -1, axis=0))])
@@ -109,8 +110,9 @@ def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
 
 
 def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, list[dict[str, object]]]:
-    """Return masks as plain data for the recipe of a cube, by camera or ``water``.
-    Each mask image has a checksum of its file as the entry ``content``."""
+    """Return the masks of each camera, and of ``water``, as plain data for the recipe of a cube.
+    The recipe is the record of all inputs; so the data of a mask image include a checksum, ``content``, of
+    the file."""
     out: dict[str, list[dict[str, object]]] = {}
     for name, shapes in masks.items():
         out[name] = [shape.model_dump(exclude_none=True, mode="json") for shape in shapes]

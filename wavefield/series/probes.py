@@ -1,4 +1,4 @@
-"""Wave probes: one documented table, read by numpy."""
+"""Read the elevations of wave probes from a CSV file."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -97,7 +97,8 @@ def read_probes(
 
 
 def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
-    """Return (number from 1, text) of each line of a UTF-8 file that is neither blank nor a comment (#)."""
+    """Return the lines of a UTF-8 file as (number from 1, text), without blank lines and comments (#).
+    ExperimentError if the file cannot be read; its message calls the content of the file `what`."""
     try:
         refuse_pipe(path, ExperimentError)
         data = path.read_bytes()
@@ -115,7 +116,8 @@ def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
 
 
 def _names(path: Path, number: int, line: str) -> list[str]:
-    """Return the names in the header of a probe file, ``time,NAME,...``; it is line `number`."""
+    """Return the names of the columns from the header of a probe file, ``time,NAME,...``.
+    ExperimentError if `line`, which has the line number `number`, is not such a header."""
     names = [name.strip().strip('"') for name in line.split(",")]
     odd = any(not name or set(name) & set("[](){}") for name in names)
     if len(names) < 2 or names[0] != "time" or odd or len(set(names)) < len(names):
@@ -127,7 +129,8 @@ def _names(path: Path, number: int, line: str) -> list[str]:
 
 
 def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArray[np.float64]:
-    """Return the numbers in `lines`, (number of the line, text), as an array (line, column); empty is NaN."""
+    """Return the numbers in `lines`, pairs (line number, text), as an array (line, column).
+    Empty cells become NaN. ExperimentError if a line does not hold one number for each of `names`."""
     table = np.empty((len(lines), len(names)))
     for row, (number, line) in zip(table, lines):
         cells = [cell.strip() or "nan" for cell in line.split(",")]
@@ -144,7 +147,8 @@ def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArra
 
 
 def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> None:
-    """Raise ExperimentError if times, s, do not increase or if their median interval exceeds 2 s."""
+    """Raise ExperimentError if times, s, do not increase, or if their median interval exceeds 2 s.
+    `numbers` are the line numbers of the times in the file, for the message."""
     steps = np.diff(times)
     if not (steps > 0).all():
         later = int(np.argmin(steps > 0)) + 1

@@ -59,7 +59,8 @@ def files_below(folder: Path) -> Iterator[Path]:
 
 
 def image_paths(folder: Path) -> list[str]:
-    """Return the sorted paths, relative to a folder, of all images below it."""
+    """Return the sorted paths, relative to a folder, of all images below it.
+    ExperimentError if the folder does not exist."""
     if not folder.is_dir():
         raise ExperimentError(f"{folder} is not a folder; name the one that contains the images")
     return sorted(
@@ -96,7 +97,8 @@ def find_series(paths: Sequence[str]) -> list[NumberedImages]:
 
 
 def camera_names(patterns: Sequence[str]) -> list[str]:
-    """Return a camera name for each pattern: its folder if these are distinct words, else cam1, ..."""
+    """Return a camera name for each pattern: the pattern's folder, or cam1, cam2, ...
+    Folders are used if their names are distinct words."""
     folders = [pattern.rpartition("/")[0].rpartition("/")[2] for pattern in patterns]
     words = {folder for folder in folders if re.fullmatch("[A-Za-z][A-Za-z0-9_]+", folder)}
     return folders if len(words) == len(patterns) else [f"cam{k}" for k in range(1, len(patterns) + 1)]

@@ -1,4 +1,4 @@
-"""Reading one frame from a file, a multi-page TIFF, a recording, a video, or Zarr."""
+"""Read single frames from image files, multi-page TIFF, recordings, videos, or Zarr arrays."""
 
 import os
 from collections import OrderedDict
@@ -23,7 +23,7 @@ _Images: TypeAlias = Recording | TiffImages | ZarrImages  # open files or stores
 
 
 class FrameEntry(NamedTuple):
-    """File of one frame, and its index in the file."""
+    """Where the image of one frame is stored: a file, and the index of the image in this file."""
 
     kind: Kind  # "file": a file of one image; "images": a file or store of many
     path: str  # Path or address of the file or store
@@ -79,7 +79,8 @@ def close_files() -> None:
 
 
 def _kept_open(path: str) -> _Images:
-    """Return the open file of a path, and keep it open for later calls; the last eight stay open."""
+    """Return the open file of a path, and keep it open for later calls.
+    The eight files used last stay open; others are closed."""
     try:
         key = path, os.stat(path).st_mtime_ns  # a file that was copied again is opened again
     except OSError:

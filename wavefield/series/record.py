@@ -29,9 +29,10 @@ Times = NDArray[np.float64]
 def open_record(
     record: RecordSection, path: Path, folder: Path, measuring: Sequence[str]
 ) -> dict[str, FrameSeries]:
-    """Return the frames of every camera, over the frame numbers that all measuring cameras span.
-    ``frames`` in the experiment file, `path`, replaces this range. ExperimentError if images are missing or
-    cannot be numbered, or if the measuring cameras share no two frame numbers."""
+    """Return the frames of every camera, over the frame numbers that all cameras `measuring` span.
+    The key ``frames`` of the experiment file, `path`, replaces this range. `folder` is the folder of the
+    images. ExperimentError if images are missing or cannot be numbered, or if the range has fewer than two
+    numbers."""
     numbered = {name: number_frames(one.images, folder, name) for name, one in record.cameras.items()}
     numbered, clocks = _place_by_clocks(record, numbered, path, folder)
     for name, section in record.cameras.items():
@@ -53,8 +54,9 @@ def open_record(
 
 
 def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int, last: int) -> None:
-    """Raise ExperimentError if the range of frame numbers is huge compared with the number of frames.
-    The limits are 100 numbers per frame, and five million numbers; `first` must not precede all frames."""
+    """Raise ExperimentError if the frame numbers `first` to `last` are far more than the frames.
+    The limits are 100 numbers per frame and five million numbers. A negative `first` must not precede all
+    frames. `numbered` holds the frames of each camera by number."""
     lowest = min(min(frames) for frames in numbered)
     if first < min(lowest, 0):
         raise ExperimentError(f"{path}: frames.first is {first}, but the first frame there is {lowest}")
@@ -71,8 +73,9 @@ def _place_by_clocks(
     record: RecordSection, numbered: dict[str, Numbered], path: Path, folder: Path
 ) -> tuple[dict[str, Numbered], dict[str, Times]]:
     """Return the frames of each camera renumbered from their times, and the times, s, of each camera.
-    The times are those of the key ``times``, or else those in recordings; without times numbers stay.
-    ExperimentError if only some cameras have the key ``times``, or if times do not fit the frames."""
+    The times are those of the key ``times``, or else those in recordings. A camera without times keeps its
+    frame numbers, and is absent from the second result. ExperimentError if only some cameras have the key
+    ``times``, or if times do not fit the frames."""
     stamped: dict[str, tuple[Path, Times]] = {}
     for name, section in record.cameras.items():
         if section.times is not None:

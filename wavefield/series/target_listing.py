@@ -12,8 +12,8 @@ from wavefield.series.experiment import Experiment
 
 
 def find_views(experiment: Experiment) -> dict[str, dict[str, Path]]:
-    """Return the paths of the target images, by camera and by pose.
-    A pose is named by the part of the file name that varies; the pose on z = 0 is called ``flat``.
+    """Return the paths of the images of the calibration target: for each camera, a path by pose.
+    A pose of the target is named by the part of the file name that varies; the pose on z = 0 is ``flat``.
     CalibrationError if the experiment has no calibration block, or if a camera has no target image."""
     section = experiment.calibration
     if section is None:
@@ -52,7 +52,8 @@ def _no_images(experiment: Experiment, camera: str, patterns: Sequence[str]) -> 
 
 
 def _add_poses(poses: dict[str, Path], images: Iterable[tuple[str, Path]], experiment: Experiment) -> None:
-    """Add pairs (pose, path) to the `poses` of a camera; CalibrationError if two files have one pose."""
+    """Add pairs (pose, path) to the `poses` of a camera, in place.
+    CalibrationError if two files have the same pose."""
     for pose, path in images:
         other = poses.setdefault(pose, path)
         if other != path:

@@ -90,7 +90,8 @@ def open_hdf5(path: Path) -> Recording:
 
 
 def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
-    """Return a dataset of an open HDF5 file: the one named `inside`, or the only stack if this is empty."""
+    """Return a dataset of an open HDF5 file: that named `inside`, or the only stack if `inside` is "".
+    FrameError if there is no such dataset, or several stacks."""
     import h5py
 
     series: list[str] = []
@@ -111,7 +112,8 @@ def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
 
 
 class ZarrImages:
-    """A Zarr array (image, row, column) at a path or an address, or the array ``image`` of a group there."""
+    """The images in a Zarr array (image, row, column); `path` is a path or a URL.
+    If there is a group, its array ``image`` is used. FrameError if there is no such array."""
 
     def __init__(self, path: str) -> None:
         import zarr  # takes long, for the few who have such images
@@ -144,12 +146,12 @@ class ZarrImages:
 
 
 def is_remote(name: str) -> bool:
-    """Whether a name is the address of an object store, such as s3://..., rather than a path."""
+    """Whether a name is a URL, such as s3://..., rather than a path."""
     return bool(_ADDRESS.match(name))
 
 
 def refuse_password(address: str) -> None:
-    """Raise ValueError, which does not repeat the address, if the address contains a password or token."""
+    """Raise ValueError if a URL contains a password or token; the message does not repeat the URL."""
     if is_remote(address) and _SECRET.search(address):
         raise ValueError(
             "the address contains a password or token: leave it to the environment (fsspec's configuration)"

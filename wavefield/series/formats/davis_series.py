@@ -28,7 +28,8 @@ class _Set:
 
 
 def open_davis(path: Path) -> Recording:
-    """Open a DaVis set, ``run.set``, or ``run.set/1`` for the second image of each of its buffers."""
+    """Open a DaVis set, ``run.set``, or ``run.set/1`` for the second image of each of its buffers.
+    FrameError if there are no buffers (.im7 files) or no such image in them."""
     name = path if path.suffix.lower() == ".set" else path.parent
     folder = name.with_suffix("")
     buffers = _in_order(list(folder.glob("*.im7")))

@@ -1,4 +1,4 @@
-"""One image after another in a file: their places, and their pixels, of whole bytes or packed bits."""
+"""Recordings: files of many images. Find an image in a file, and read its pixels (bytes or packed bits)."""
 
 from bisect import bisect_right
 from collections.abc import Callable
@@ -111,7 +111,7 @@ def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
 
 def complete_images(path: Path, count: int, start: Callable[[int], int], each: int) -> int:
     """Return how many of the `count` images of a file are complete; FrameError if none is.
-    `start` gives the byte at which an image begins, `each` is the number of bytes of an image."""
+    `start` gives the byte at which the image at an index begins; `each` is the number of bytes per image."""
     complete = bisect_right(range(count), path.stat().st_size, key=lambda index: start(index) + each)
     if not complete:
         raise FrameError(f"{path} holds not one complete image: it is empty or truncated")
@@ -123,7 +123,7 @@ def pixels(
 ) -> tuple[Callable[[FileIO], Pixels], int]:
     """Return a function that reads an image from an open file, and the number of bytes per image.
     Pixels of 8 or 16 `bits` take one or two bytes; others are packed without gaps, highest bit first.
-    `upside_down` says that the file begins with the lowest row (without effect on packed pixels)."""
+    `upside_down` is for files in which the lowest row comes first; it has no effect on packed pixels."""
     count = shape[0] * shape[1]
     size = (count * bits + 7) // 8
 
