@@ -48,7 +48,7 @@ MIN_LIGHT = 0.2  # of a camera's median: with less, flicker has blackened a fram
 MIN_MEASURED = 0.7  # of them: with fewer, holes are remarked upon with reason
 MAX_HEIGHT = 0.6  # of waves, of a sea the significant one, over the depth
 FAULTS = (
-    "duplicated", "lost", "duplicated in one", "lost in one", "jitter", "jitter, with stamps",
+    "duplicated", "lost", "duplicated in one", "lost in one", "jitter, with stamps",
     "late", "rolling shutter", "ripples", "submerged beads", "floating object", "blurred camera",
 )  # fmt: skip
 

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+import yaml
 from cube_cases import HERE
 
 from benchmarks.faults import write_experiment
@@ -133,3 +134,20 @@ def test_a_delay_is_seen_in_images_by_check(tmp_path):
     assert late.values["delay"] == pytest.approx(2e-3, abs=3 * late.values["std"])
     assert late.values["std"] < 4e-4
     assert re.search(r"cam2 is [12]\.\d+ \+- .* ms later", found.clocks)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stated", [False, True])
+def test_a_rolling_shutter_is_seen_in_images_unless_it_is_stated(stated, tmp_path):
+    row_time = 2e-5
+    faults = {name: {"row_time": row_time} for name in ("cam1", "cam2", "cam3")}
+    path = write_experiment(tmp_path / "rolling", rig={"crop": 0.5}, faults=faults)
+    data = yaml.safe_load(path.read_text()) | {"grid": "auto"}
+    if stated:
+        for camera in data["cameras"].values():
+            camera["row_time"] = row_time
+    path.write_text(yaml.safe_dump(data))
+    found = [one for one in check(path, workflow=HERE).verdict.remarks if one.weight != "note"]
+    assert [one.kind for one in found] == ([] if stated else ["rolling shutter"])
+    for one in found:
+        assert one.values["row_time"] == pytest.approx(row_time, abs=3.5 * one.values["std"])

@@ -8,8 +8,8 @@ two consecutive frames; a patch is a square of `SIDE` pixels on the water.
 A camera that is delayed by tau sees every bead displaced by tau times its velocity. The component along the
 parallax looks like height. The component across it is eps_y, so tau is the slope of a regression of eps_y on
 the velocity across the parallax, over the patches of several frames. Each frame has its own constant and
-linear terms, which absorb the motion of the mounts. Rolling shutters are corrected if the experiment file
-gives their `row_time`; one that it does not give is not found.
+linear terms, which absorb the motion of the mounts. A rolling shutter reads rows one after the other: the
+delay then grows with the difference between the rows in which two cameras see a patch.
 
 If eps_y and velocity differed in resolution, tau would be too large, so both are averaged over the same
 patches. The velocity is the mean of the steps before and after the frame, which is 5 % too low for 2 Hz waves
@@ -18,7 +18,7 @@ at 20 frames per second. `BIAS` includes this error in the uncertainty.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -42,7 +42,7 @@ MIN_VELOCITY = 0.03  # px per frame, rms after the fit of linear terms: less is 
 
 @dataclass(frozen=True)
 class Delay:
-    """A delay of one camera behind another."""
+    """A delay of one camera behind another, or of an image row behind the row above."""
 
     seconds: float  # Delay, s; negative if earlier
     std: float  # Standard uncertainty, s
@@ -56,13 +56,16 @@ class Sample:
     velocity: Array  # (m,): Velocity of the beads across the parallax, px per frame
     design: Array  # (m, 3): Columns of the linear fit: 1, x and y, both scaled to -1 to 1
     speed: float = 0.0  # Mean horizontal speed of the beads, px per frame
+    rows: Array | float = 0.0  # (m,): Row in the second image minus row in the first, each from mid-image
 
 
 class Synchrony(NamedTuple):
-    """Result of `delays`: delays between cameras, and the speed of the water."""
+    """Result of `delays`: delays between cameras and between image rows, and the speed of the water."""
 
     delays: dict[str, Delay]  # Delay of each camera relative to the median camera
     speed: float = 0.0  # Median speed of the beads, px/s
+    row_time: Delay | None = None  # Of a row behind the row above, minus the `row_time` that the user gave
+    rows: int = 0  # Rows of the largest image
 
 
 def sample(
@@ -102,7 +105,7 @@ def sample(
     rows = [c.project(x, y, 0.0)[1] - 0.5 * (c.size[1] - 1) for c in (first, second)]  # from mid-image
     delay = row_delays.get(pair[1], 0.0) * rows[1] - row_delays.get(pair[0], 0.0) * rows[0]
     design = np.stack([np.ones(x.size), scaled(x), scaled(y)], axis=-1)
-    return Sample(eps_y - delay * velocity, velocity, design, float(speed.mean()))
+    return Sample(eps_y - delay * velocity, velocity, design, float(speed.mean()), rows[1] - rows[0])
 
 
 def _sight_slope(camera: "Camera", axis: int, v: Array) -> Array:
@@ -176,10 +179,11 @@ def delays(
     rate: float,
     threads: int = 1,
 ) -> Synchrony:
-    """Measure the delays of the cameras from some frames; no delays if that of any pair is not determined.
+    """Measure delays of cameras and of image rows from some frames; none if a pair's is not determined.
     ``displacement`` returns the displacement of the water at the grid nodes at a frame, (3, ny, nx), metres
     per frame, NaN where not measured. ``rate`` is the frame rate, Hz."""
     pair_delays: dict[Pair, tuple[float, float]] = {}
+    row_times: list[tuple[float, float]] = []
     speeds: list[float] = []
 
     def samples_at(frame: int) -> list[Sample | None]:
@@ -198,7 +202,16 @@ def delays(
         if found is None:
             return Synchrony({})
         pair_delays[pair] = found
-    return Synchrony(_camera_delays(pair_delays, rate), rate * float(np.median(speeds)))
+        by_row = [  # the delay of a pair is now part of the linear terms
+            replace(s, velocity=s.velocity * s.rows, design=np.column_stack([s.design, s.velocity]))
+            for s in samples
+        ]
+        if (row_time := regress(by_row)) is not None:
+            row_times.append(row_time)
+    surest = min(row_times, key=lambda one: one[1], default=None)
+    readout = Delay(surest[0] / rate, surest[1] / rate) if surest else None
+    rows = max(geometry.rig[name].size[1] for name in geometry.surface_cameras)
+    return Synchrony(_camera_delays(pair_delays, rate), rate * float(np.median(speeds)), readout, rows)
 
 
 def _prepared(
@@ -233,7 +246,7 @@ def _camera_delays(found: Mapping[Pair, tuple[float, float]], rate: float) -> di
 
 
 def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
-    """Report cameras that are delayed."""
+    """Report cameras that are delayed, and a rolling shutter whose `row_time` the user did not give."""
     for name, one in found.delays.items():
         off, word = abs(one.seconds) * found.speed, "later" if one.seconds > 0 else "earlier"
         if abs(one.seconds) > SIGNIFICANCE * one.std and off > MAX_EPS_Y:
@@ -247,6 +260,21 @@ def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
                 "Trigger all cameras by one signal, with the same exposure time",
                 {"delay": one.seconds, "std": one.std, "px": off},
             )
+    if found.row_time is None:
+        return
+    late, std = found.rows * abs(found.row_time.seconds), found.rows * found.row_time.std
+    off = 0.5 * late * found.speed
+    if late > SIGNIFICANCE * std and off > MAX_EPS_Y:
+        yield Remark(
+            "cameras",
+            "rolling shutter",
+            "remark",
+            f"the first and the last row of an image are read {1e3 * late:.2g} +- {1e3 * std:.2g} ms apart",
+            f"The water moves {off:.2f} px from mid-image to the edge: z and velocities are wrong there",
+            "Give `row_time` of each camera with a rolling shutter, and of no other, from its data sheet "
+            f"(about {found.row_time.seconds:.2g} s if all are equal), or use global shutters",
+            {"row_time": found.row_time.seconds, "std": found.row_time.std, "px": off},
+        )
 
 
 def spell_delays(found: Mapping[str, Delay]) -> str:
