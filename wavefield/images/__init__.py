@@ -79,7 +79,7 @@ def _decode(data: bytes, start: bytes) -> np.ndarray | None:
 
 
 def _unknown(name: str, start: bytes) -> str:
-    """Return a message on a file whose first bytes (`start`) are those of no supported image."""
+    """Return the error message for a file whose first bytes, `start`, belong to no supported format."""
     if not start:
         return f"{name} is empty; copy it again from the camera"
     ending = Path(name).suffix.lower()
@@ -89,9 +89,9 @@ def _unknown(name: str, start: bytes) -> str:
 
 
 def grey(image: np.ndarray) -> np.ndarray:
-    """Return the luminance, (row, column), of an image (row, column, channel), in the image's type.
-    The channels are red, green, blue and possibly alpha, which is ignored. An image of one or two channels
-    gives its first channel."""
+    """Return the luminance, (row, column), of an image (row, column, channel), in the type of the image.
+    The channels are red, green, blue and possibly alpha, which is ignored. Of one or two channels the first
+    is returned. An image (row, column) is returned unchanged."""
     if image.ndim == 2:
         return image
     if image.shape[2] < 3:
@@ -105,8 +105,8 @@ def grey(image: np.ndarray) -> np.ndarray:
 
 def write_image(path: str | Path, image: np.ndarray, product: Product | None = None) -> None:
     """Write one grey image, (row, column), completely or not at all; the ending of `path` is the format.
-    Without a `product` any plain file at `path` is replaced. With a `product` a file is replaced only if it
-    is the same product, unchanged. FrameError if the image cannot be written."""
+    Without a `product`, the mark of the file, any plain file at `path` is replaced. With a `product` a file
+    is replaced only if it has the same mark and is unchanged. FrameError if the image cannot be written."""
     path = Path(path)
     try:
         with atomic(path, product, replace=product is None) as draft:
@@ -123,8 +123,9 @@ def write_image(path: str | Path, image: np.ndarray, product: Product | None = N
 
 
 def fill_masked(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """Return a copy of an image, (row, column), in which pixels where `covered` have the median grey level.
-    The median is over every eighth row and column of the other pixels."""
+    """Return a copy of an image, (row, column), in which the pixels of a mask have the median grey level.
+    `covered` (row, column) is true at these pixels. The median is over the others, in every eighth row and
+    column."""
     free = image[::8, ::8][~covered[::8, ::8]]
     out = image.copy()
     out[covered] = np.partition(free, free.size // 2)[free.size // 2] if free.size else 0

@@ -65,7 +65,7 @@ class TiffImages:
             raise _corrupt(self.name, error) from None
 
     def _in_stack(self, page: Any, index: int) -> NDArray[Any]:
-        """Return an image, by its index, of an ImageJ stack that describes only its first image (`page`)."""
+        """Return the image at an index of an ImageJ stack that describes only its first image (`page`)."""
         if page.compression != COMPRESSION.NONE:
             raise FrameError(f"{self.name} is a compressed stack with one directory; save each image")
         handle = self.file.filehandle
@@ -110,22 +110,22 @@ def refuse_page(page: Any, name: str) -> None:
 
 
 def _words(code: Any) -> str:
-    """Return the name of a tag's value, such as a kind of compression; without a name, the value as text."""
+    """Return a TIFF tag's value, such as a kind of compression, by name, or as a number if it has none."""
     return getattr(code, "name", str(code))
 
 
 def _refuse_missing_parts(page: Any, size: int) -> None:
-    """Raise ValueError if pixels of a page are empty or beyond the end of the file, of `size` bytes.
-    Without this check tifffile would return zeros for them."""
+    """Raise ValueError if a part of a page's pixels is empty, or lies beyond the `size` (bytes) of the file.
+    Without this check tifffile would return zeros for the missing pixels."""
     ends = [start + count for start, count in zip(page.dataoffsets, page.databytecounts)]
     if not ends or min(page.databytecounts) == 0 or max(ends) > size:
         raise ValueError("the file ends before its pixels")
 
 
 def _as_bright(page: Any, image: NDArray[Any], name: str) -> NDArray[Any]:
-    """Return the decoded image of a page, (row, column[, RGB]), so that large values are bright.
-    Alpha is dropped, a palette is applied, an image in which 0 is white is inverted, and single bits become 0
-    or 255. FrameError if an image in which 0 is white has signed numbers."""
+    """Return the decoded image of a page as (row, column) or (row, column, RGB), with large values bright.
+    Alpha is dropped, and a palette is applied. An image in which 0 is white is inverted; FrameError if its
+    numbers are signed. Single bits become 0 or 255."""
     if image.ndim == 3 and page.planarconfig == tifffile.PLANARCONFIG.SEPARATE:
         image = np.moveaxis(image, 0, -1)
     if page.extrasamples:

@@ -1,4 +1,4 @@
-"""Cameras and rigs: projection, sight lines and the common field, without images."""
+"""The geometry of cameras and rigs: projection, sight lines, and the field that all cameras see."""
 
 from wavefield.rig.camera import Camera
 from wavefield.rig.field import common_field

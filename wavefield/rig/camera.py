@@ -19,10 +19,10 @@ from wavefield.rig.lens import Array, apply_homography, distort, distort_jacobia
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with radial and tangential distortion and a tilted sensor.
+    """A pinhole camera with radial and tangential lens distortion, and with a sensor that may be tilted.
 
-    The paper's model has the terms fx, fy, cx, cy and k1. The other terms are those of OpenCV: k2, p1, p2,
-    k3, and the Scheimpflug tilt tau_x, tau_y.
+    The model of Aubourg et al. has the terms fx, fy, cx, cy and k1. The other terms are those of OpenCV: k2,
+    p1, p2, k3, and the Scheimpflug tilt tau_x, tau_y.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Camera:
     size : tuple of int
         Image (width, height), px.
     k1, k2, k3 : float
-        Radial distortion; k1 is the paper's k_c.
+        Radial distortion; k1 is k_c of Aubourg et al.
     p1, p2 : float
         Tangential distortion.
     tau_x, tau_y : float
@@ -161,7 +161,7 @@ class Camera:
 
     def tangents(self, X: ArrayLike, Y: ArrayLike) -> tuple[Array, Array]:
         """Return the tangents a = xc / zc, b = yc / zc of points that project to pixels X, Y (column, row).
-        They are the tangents of the viewing angles, without lens distortion."""
+        They are the tangents of the angles from the optical axis, without lens distortion."""
         return self._to_tangents(*np.broadcast_arrays(np.asarray(X, float), np.asarray(Y, float)))
 
     def project(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array]:
@@ -219,7 +219,7 @@ class Camera:
         """Return the horizontal displacement per height along the sight lines through physical points.
 
         The sight line through (x, y, z) passes (x + Dx (h - z), y + Dy (h - z)) at height h. This is exact
-        for straight rays, and equals the paper's ratio of derivatives of F and G with its signs corrected.
+        for straight rays. Aubourg et al. derive it from the projection, but with other signs.
 
         Parameters
         ----------
@@ -281,7 +281,7 @@ class Camera:
         return np.stack(self.unproject(X, Y, z), axis=-1)
 
     def sees(self, x: ArrayLike, y: ArrayLike, z: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Return whether the camera sees points, metres, at least `margin` px from the edge of its image."""
+        """Return whether the camera sees points x, y, z, metres, at least `margin` px inside its image."""
         X, Y = self.project(x, y, z)
         w, h = self.size
         return (X >= margin) & (X <= w - 1 - margin) & (Y >= margin) & (Y <= h - 1 - margin)
@@ -351,7 +351,7 @@ class Camera:
         return cls(fx, fy, cx, cy, R, tvec, size, skew=skew, **_terms_of_opencv(D))
 
     def scaled(self, factor: float) -> "Camera":
-        """Return the camera of the same images after they were resampled to `factor` times their width."""
+        """Return the camera of images that were resampled to `factor` times their width and height."""
         w, h = self.size
         return replace(
             self,

@@ -85,9 +85,9 @@ def common_field(
 
 
 def view_on_water(camera: Camera) -> NDArray[np.float64]:
-    """Return points (n, 2) on z = 0, metres, that span the view of a camera.
+    """Return points (x, y) on z = 0, (n, 2), metres, that span the view of a camera.
     They are the four corners of the image, or samples of the near water if the camera sees the horizon.
-    RigError if it sees no water."""
+    RigError if the camera sees no water."""
     corners = camera.corners()
     if np.isfinite(corners).all():
         return corners
@@ -108,7 +108,7 @@ def _round_up(length: float) -> float:
 
 
 def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
-    """Return the shorter and the longer side of a camera's pixel on the still water at (x, y), metres.
+    """Return the shorter and the longer side, metres, of a camera's pixel projected to (x, y) on still water.
     RigError if the point is not in front of the camera."""
     jacobian = camera.jacobian(x, y, 0.0)[:, :2]
     if not np.isfinite(jacobian).all():
@@ -118,11 +118,11 @@ def pixel_sides(camera: Camera, x: float, y: float) -> tuple[float, float]:
 
 
 def pixel_at(camera: Camera, x: float, y: float) -> float:
-    """Return the size of a camera's pixel on the still water at (x, y), metres: the root of its area."""
+    """Return the size, metres, of a camera's pixel projected to (x, y) on the water: the root of its area."""
     return float(np.sqrt(np.prod(pixel_sides(camera, x, y))))
 
 
 def pixel_size(rig: Rig, grid: Grid) -> float:
-    """Return the size of a pixel on the water in the middle of the grid, for the coarsest camera, metres."""
+    """Return the size, metres, of a pixel projected to the middle of the grid, for the coarsest camera."""
     x, y = float(np.mean(grid.x)), float(np.mean(grid.y))
     return max(pixel_at(camera, x, y) for camera in rig.cameras.values())

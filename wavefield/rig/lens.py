@@ -42,7 +42,7 @@ def distort_jacobian(
 
 def tilt_matrix(tau_x: complex, tau_y: complex) -> NDArray[np.complex128]:
     """Return the homography (3, 3) of a tilted sensor, as in OpenCV's CALIB_TILTED_MODEL.
-    The tilts tau_x and tau_y, rad, may be complex."""
+    The tilts tau_x and tau_y, rad, may be complex, for derivatives by a complex step."""
     cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
     about_y = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]], complex)
     about_x = np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]], complex)
@@ -61,7 +61,7 @@ def apply_homography(h: Array, x: Array, y: Array) -> tuple[Array, Array, Array]
 
 
 def project(lens: Array, points: Array) -> tuple[Array, Array, Array]:
-    """Project points (n, 3), metres, of a camera's frame onto its sensor.
+    """Project points (n, 3), metres, given in the frame of a camera, onto the camera's sensor.
     `lens` (12,) holds the terms in the order of `LENS`. Returns pixels (n, 2), their derivatives with respect
     to the points (n, 2, 3), px per metre, and their derivatives with respect to the lens terms (n, 2, 12)."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3, tau_x, tau_y, skew = lens.tolist()

@@ -34,7 +34,7 @@ def read_rig_text(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Rig:
-    """Named cameras in one physical frame, with their provenance.
+    """Named cameras in one physical frame, with the provenance of their calibration.
 
     Parameters
     ----------
@@ -178,13 +178,14 @@ class Rig:
 
 
 def middle_camera(rig: Rig, names: Sequence[str]) -> str:
-    """Return which of the cameras `names` has the smallest sum of distances to the others."""
+    """Return the name of the camera, out of `names`, with the smallest sum of distances to the others."""
     centres = np.array([rig[n].centre for n in names])
     reach = np.linalg.norm(centres[:, None] - centres, axis=-1).sum(axis=1)
     return names[int(np.argmin(np.round(reach / max(reach.max(), 1e-30), 9)))]
 
 
 def pairs_of(rig: Rig, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of cameras whose images are compared: the middle camera with each of the others."""
+    """Return the pairs of cameras, out of `names`, whose images are compared with each other.
+    They are the middle camera (`middle_camera`) with each of the others."""
     reference = middle_camera(rig, names)
     return tuple((reference, n) for n in names if n != reference)

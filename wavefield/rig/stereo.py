@@ -15,7 +15,8 @@ def triangulate(apparent: ArrayLike, sight: ArrayLike) -> tuple[Array, Array, Ar
     """Find the points x, y, z (...), metres, nearest to the sight lines of N cameras by least squares.
     Camera k sees the point on the line x = x_k + D_k z. `apparent` holds x_k, the apparent positions on z =
     0, metres, and `sight` the sight-line coefficients D_k; both are (N, 2, ...), NaN if a camera does not see
-    the point. The last result holds the residuals (N, 2, ...), metres on z = 0. NaN if undetermined."""
+    the point. The last result is the residual of each camera (N, 2, ...), metres on z = 0. The results are
+    NaN if the cameras do not determine the point."""
     p, D = np.asarray(apparent, float), np.asarray(sight, float)
     visible = np.isfinite(p).all(1) & np.isfinite(D).all(1)
     weight = np.where(visible, 1.0, 0.0)[:, None]
@@ -34,8 +35,8 @@ def triangulate(apparent: ArrayLike, sight: ArrayLike) -> tuple[Array, Array, Ar
 
 
 def jacobians(cameras: Sequence[Camera], x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Array:
-    """Return the derivatives of the pixels of N cameras with respect to x, y, z, px per metre.
-    The result is (..., 2N, 3), with the rows X_1, Y_1, X_2, Y_2, ... at positions x, y, z, metres."""
+    """Return the derivatives of the pixel coordinates of N cameras by x, y, z, at positions x, y, z, metres.
+    The result is (..., 2N, 3), px per metre, with the rows X_1, Y_1, X_2, Y_2, ..."""
     shape = np.broadcast_shapes(np.shape(x), np.shape(y), np.shape(z))
     out = np.empty((*shape, 2 * len(cameras), 3))
     for n, camera in enumerate(cameras):
@@ -46,7 +47,7 @@ def jacobians(cameras: Sequence[Camera], x: ArrayLike, y: ArrayLike, z: ArrayLik
 def solve_displacement(jacobian: ArrayLike, displacement: ArrayLike) -> Array:
     """Find the displacement d in space (..., 3), metres, from the displacements in the images of N cameras.
     d minimises |J d - dX|^2, where J is `jacobian` (..., 2N, 3), px per metre, and dX is `displacement`
-    (..., 2N), px, of which the rows that are not finite are left out. NaN if undetermined."""
+    (..., 2N), px. Rows that are not finite are left out. NaN if the others do not determine d."""
     J, dX = np.broadcast_arrays(np.asarray(jacobian, float), np.asarray(displacement, float)[..., None])
     seen = np.isfinite(dX[..., 0]) & np.isfinite(J[..., 0])
     j0, j1, j2 = np.moveaxis(np.where(seen[..., None], J, 0.0), (-2, -1), (1, 0))
@@ -69,8 +70,8 @@ def solve_displacement(jacobian: ArrayLike, displacement: ArrayLike) -> Array:
 
 
 def parallax(rig: Rig, pair: tuple[str, str], x: ArrayLike, y: ArrayLike) -> Array:
-    """Return the parallax of a pair of cameras per height of a point, (2, ...).
-    It is the first camera's sight-line coefficients at x, y, metres, minus those of the second."""
+    """Return the parallax between the two cameras of a pair per height of a point above x, y, metres.
+    It is the first camera's sight-line coefficients (along x and y) minus those of the second, (2, ...)."""
     first, second = (rig[name].sight_line(x, y) for name in pair)
     return np.subtract(first, second)
 
@@ -78,8 +79,9 @@ def parallax(rig: Rig, pair: tuple[str, str], x: ArrayLike, y: ArrayLike) -> Arr
 def epipolar_distance(
     a: Camera, b: Camera, Xa: ArrayLike, Ya: ArrayLike, Xb: ArrayLike, Yb: ArrayLike
 ) -> Array:
-    """Return the signed distances (n,) of pixels in image b from the epipolar lines of their matches, px.
-    (Xa, Ya) are the matching pixels in image a, (Xb, Yb) those in image b; lenses may distort."""
+    """Return the signed distances (n,), px, of pixels in image b from the epipolar lines of their matches.
+    (Xa, Ya) are the matching pixels in the image of camera `a`, (Xb, Yb) those in the image of camera `b`.
+    Lens distortion is taken into account."""
     xa = np.stack([*a.tangents(Xa, Ya), np.ones(np.shape(Xa))])
     Xb, Yb = np.asarray(Xb, float), np.asarray(Yb, float)
     xb = np.stack([*b.tangents(Xb, Yb), np.ones(np.shape(Xb))])

@@ -11,7 +11,7 @@ from wavefield.rig.rig import Rig
 from wavefield.robust import reweighted_lstsq, robust_std
 
 MAX_TILT = 10.0  # degrees; a frame that is tilted more than this is not that of a target, but of a camera
-MIN_POINTS = 10  # of the water, about three times the parameters of a plane
+MIN_POINTS = 10  # on the water: about three times the number of parameters of a plane
 MAX_DEVIATIONS = 4.0  # robust standard deviations from the plane
 
 
@@ -21,8 +21,8 @@ class WaterPlane:
 
     height: float  # Of the plane at x = y = 0, metres
     slope: tuple[float, float]  # Along x and y
-    rms: float  # Distance of the points from the plane, without outliers, metres
-    kept: NDArray[np.bool_]  # (n,): Whether a point is not an outlier
+    rms: float  # Rms distance of the points from the plane, without outliers, metres
+    kept: NDArray[np.bool_]  # (n,): whether a point is finite and not an outlier
 
     @property
     def axes(self) -> Array:
@@ -44,8 +44,8 @@ def _points(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, NDArray[np
 
 
 def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
-    """Fit a plane to points x, y, z of the water surface, metres, without outliers.
-    RigError if there are fewer than ten points, or if all are on a line."""
+    """Fit a plane to points x, y, z of the water surface, metres, leaving out outliers.
+    RigError if fewer than ten points are finite, or if all are on a line."""
     points, finite = _points(x, y, z)
     height = points[finite, 2]
     design = np.column_stack([np.ones(len(height)), points[finite, :2]])
@@ -74,8 +74,9 @@ def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
 
 
 def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, WaterPlane]:
-    """Return a rig in the frame whose plane z = 0 is that of points of still water, and the fitted plane.
-    x, y, z are the points in the present frame, metres."""
+    """Return a rig in a frame whose plane z = 0 is fitted to points of still water, and the fitted plane.
+    x, y, z are the points in the present frame of the rig, metres. The fitted plane is in the same frame or,
+    if this is tilted by over 10 degrees, in a frame that was first turned roughly onto the water."""
     points, finite = _points(x, y, z)
     axes, origin = _frame_on_plane(rig, points[finite])
     tilt = float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))))
@@ -93,7 +94,8 @@ def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, Wate
 
 
 def _frame_on_plane(rig: Rig, points: Array) -> tuple[Array, Array]:
-    """Return a frame on the plane of points (n, 3), z towards the cameras: axes (3, 3) and origin."""
+    """Return the axes (3, 3), as columns, and the origin (3,) of a frame on the plane of points (n, 3).
+    Its z axis points towards the cameras of the rig."""
     middle, weight = np.median(points, axis=0), np.ones(len(points))
     for _ in range(20):  # robust fit: weights fall with the distance from the plane
         middle = weight @ points / weight.sum()
@@ -109,5 +111,6 @@ def _frame_on_plane(rig: Rig, points: Array) -> tuple[Array, Array]:
 
 
 def with_water_level(rig: Rig, height: float) -> Rig:
-    """Shift the frame of a rig so that z = 0 is `height` metres above the flat target (negative: below)."""
+    """Return a rig whose plane z = 0 is `height` metres above the present one, which is the flat target's.
+    A negative height is below."""
     return rig.moved(np.eye(3), (0.0, 0.0, height), water_above_target_m=float(height))

@@ -1,4 +1,4 @@
-"""Errors of each pair of cameras (`pair_statistics` of `pipeline.assess`), stored in a group of the cube."""
+"""Store the statistics of each camera pair's errors (`pipeline.assess.pair_statistics`) in a cube."""
 
 import shutil
 from pathlib import Path
@@ -32,8 +32,9 @@ register(
 
 
 def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> None:
-    """Write the statistics that `read_pair_statistics` returns into a cube, in place of earlier ones.
-    `state` identifies the measured steps of the cube (`state_of`)."""
+    """Write statistics of camera pairs into the cube at `path`, in place of earlier ones.
+    `statistics` is a Dataset as `read_pair_statistics` returns it, and `state` identifies the steps of the
+    cube that are measured (`state_of`)."""
     attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
     with writing(path / GROUP):
         shutil.rmtree(path / GROUP, ignore_errors=True)
@@ -45,9 +46,9 @@ def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> Non
 
 def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
     """Load the error statistics of a cube's camera pairs; None if there are none or they were changed.
-    The variables ``rms``, ``beyond`` and ``density`` are (error) or (error, bin); ``quantity``, ``cameras``
-    and ``units`` describe each error. The attribute ``cube_state`` identifies the steps that were measured at
-    that time (`state_of`)."""
+    The variables are ``rms`` and ``beyond`` (error), and ``density`` (error, bin); the coordinates
+    ``quantity``, ``cameras`` and ``units`` describe each error. The attribute ``cube_state`` identifies the
+    steps of the cube that were measured when the statistics were made (`state_of`)."""
     path = Path(store) / GROUP
     mark = read_mark(path)
     if mark is None or mark.kind != KIND:

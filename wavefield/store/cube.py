@@ -41,8 +41,9 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
     Dataset
         The variables of `wavefield.variables`. Steps that are not yet measured are NaN, and so are steps at
         frames that the run found lost, doubled or late (``frame_status`` 4). The names of the cameras and the
-        gain for waves (``gain_z``, ...) are coordinates. Every field has ``path_frames`` (how velocities
-        follow from frames) and the stated depth of the water as attributes, so that ``cube.w`` keeps them.
+        gain for waves (``gain_z``, ...) are coordinates. Every field has as attributes ``path_frames`` (how
+        velocities follow from frames) and the depth and surface tension of the water, if they were given, so
+        that ``cube.w`` keeps them.
         The accessor ``cube.wavefield`` reads the recipe, the rig, the gain and the flags of `quality`.
 
     Raises
@@ -79,7 +80,7 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
 
 def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
-    """Open every variable that a cube stores, lazily; the parameters are those of `open_cube`."""
+    """Open the variables of a cube as they are stored, lazily; the parameters are those of `open_cube`."""
     path = find_store(path)
     layout = read_layout(open_group(path))
     if chunks == "auto":
@@ -109,7 +110,7 @@ def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
 
 class _NamedArray(BackendArray):
-    """A lazy array of a store; a failure to read it raises StoreError with the path of the array."""
+    """A variable of a cube as a lazy array; if it cannot be read, StoreError names the path of the array."""
 
     def __init__(self, path: Path, variable: xr.Variable) -> None:
         self.path, self.variable = path, variable
@@ -163,7 +164,7 @@ class CubeAccessor:
 
     @property
     def recipe(self) -> dict[str, Any]:
-        """All inputs of the cube: images, rig, grid, settings, versions; empty if they are not stored."""
+        """All inputs of the cube (images, rig, grid, settings, ...) as in `Recipe`; empty if not stored."""
         return recipe_of(self._cube.attrs)
 
     @property

@@ -37,7 +37,7 @@ class _Hdf5File(io.FileIO):
     failure: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write `data`, and return its size in bytes."""
+        """Write `data`, and return its size in bytes; after a failure nothing more is written."""
         left = memoryview(data).cast("B")
         size = len(left)
         while left and self.failure is None:
@@ -48,7 +48,7 @@ class _Hdf5File(io.FileIO):
         return size
 
     def truncate(self, size: int | None = None) -> int:
-        """Change the file's size, bytes, and return it."""
+        """Change the file's size to `size` bytes, and return this size."""
         try:
             return super().truncate(size)
         except OSError as error:
@@ -57,7 +57,7 @@ class _Hdf5File(io.FileIO):
 
 
 def _write_hdf5(cube: "xr.Dataset", path: Path) -> None:
-    """Write a Dataset as a NetCDF-4 file; raise the first OSError of writing."""
+    """Write a Dataset as a NetCDF-4 file; the first OSError that occurs while writing is raised."""
     with _Hdf5File(path, "w+") as file:
         try:
             cube.to_netcdf(file, engine="h5netcdf", format="NETCDF4")
@@ -120,14 +120,14 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
 
 
 def _product(cube: "xr.Dataset") -> Product:
-    """Return the mark of a NetCDF export, which may be replaced later; the other formats have none."""
+    """Return the mark of a NetCDF export, which allows a later export of the cube to replace the file."""
     return Product("netcdf export", source_of(cube))
 
 
 def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
     """Write a cube, or averages of a cube, as a NetCDF-4 file with CF attributes.
-    Attributes and encodings of `cube` are changed. StoreError if a file is there that is not an export of the
-    same cube."""
+    Attributes and encodings of `cube` are changed in place. StoreError if `path` exists and is not an export
+    of the same cube."""
     product = _product(cube)
     cube.attrs = {
         name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()
@@ -147,7 +147,8 @@ def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
 
 
 def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
-    """Write a cube as a MAT-file: fields (y, x, time), structs `units` and `long_name`, text attributes."""
+    """Write a cube as a MAT-file with the fields, (y, x, time), and the attributes that are text.
+    The structs `units` and `long_name` hold one text per variable. StoreError if a variable is over 2 GB."""
     from scipy.io import savemat
 
     numbers = {name: one for name, one in cube.variables.items() if one.dtype.kind not in "UOTM"}
@@ -171,7 +172,8 @@ def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
 
 def _write_uvmat(cube: "xr.Dataset", path: Path) -> None:
     """Write a folder with one NetCDF 3 file per step for UVMAT, in metres, with y upwards.
-    The names are those of UVMAT's `struct2nc`; its flag ``FF`` is 0 where the node was measured."""
+    Variables are named as by UVMAT's `struct2nc`; its flag ``FF`` is 0 at nodes of the grid that were
+    measured."""
     names = {name: theirs for name, (theirs, _) in _UVMAT_ROLES.items() if name in cube}
     out = cube[[*names, "quality"]].reset_coords(drop=True)
     measured = (out.quality & int(Quality.MEASURED)) != 0

@@ -56,7 +56,7 @@ CubeGroup: TypeAlias = Any  # an open cube: `zarr.Group` types arrays and groups
 
 @dataclass(frozen=True)
 class StoreLayout:
-    """Number of steps, chunks and cameras of a cube's store."""
+    """Sizes of a cube's store: number of steps, steps per chunk, cameras; and its first frame number."""
 
     steps: int  # Steps of the whole run; the record has one frame more
     chunk_steps: int  # Steps per chunk (shard)
@@ -83,8 +83,9 @@ def create_store(
     once: Mapping[str, np.ndarray | np.floating] | None = None,
 ) -> None:
     """Make an empty cube at `path`, complete or not at all; StoreError if something is already there.
-    `x` (nx,) and `y` (ny,) are the positions of its nodes, m. `attributes` are added to those made from the
-    recipe. `once` has variables that are known before the run, such as ``gain_z``, by name."""
+    `x` (nx,) and `y` (ny,) are the positions of the grid's nodes, m. `attributes` are added to those made
+    from the `recipe`, the record of all inputs. `once` has, by name, the values of variables that are known
+    before the run, such as ``gain_z``."""
     with atomic(path) as draft, zarr.config.set(FILES_OF_ALL_CHUNKS):
         group = _lay_out(draft, recipe, x, y, layout, attributes)
         for name, values in (once or {}).items():
@@ -105,7 +106,8 @@ def _lay_out(
     layout: StoreLayout,
     attributes: Mapping[str, Any],
 ) -> zarr.Group:
-    """Make the group of a cube and its arrays, of which only the axes have values; return the group."""
+    """Make and return the group of a cube with all its arrays, of which only the axes have values so far.
+    The arguments are those of `create_store`."""
     n, steps = layout.steps, layout.chunk_steps
     group = zarr.open_group(
         path,
@@ -164,8 +166,9 @@ def _lay_out(
 def add_array(
     group: zarr.Group, row: Variable, values: np.ndarray | np.generic | None = None, **options: Any
 ) -> None:
-    """Create the array of a variable in a group: filled with `values` in a single chunk, or empty.
-    `row` gives name, type, dimensions and attributes; `options` of `zarr.Group.create_array` replace them."""
+    """Create the array of a variable in a group: filled with `values` in a single chunk, or empty if None.
+    `row` gives its name, type, dimensions and attributes, which `options` of `zarr.Group.create_array`
+    replace."""
     how: dict[str, Any] = {
         "name": row.name,
         "dtype": row.dtype,
@@ -180,7 +183,8 @@ def add_array(
 
 
 def in_16_bits(values: np.ndarray, scale: float) -> np.ndarray:
-    """Return `values` / `scale`, rounded, as int16; `MISSING` where not finite or beyond 32767."""
+    """Return `values` / `scale`, rounded, as int16, in the shape of `values`.
+    Values that are not finite, or whose quotient is beyond +-32767, become `MISSING` (-32768)."""
     with np.errstate(invalid="ignore"):
         scaled = np.rint(values / scale)
         return np.where(np.abs(scaled) <= 32767, scaled, MISSING).astype(np.int16)
@@ -205,5 +209,5 @@ def named_damage(array: Path) -> Iterator[None]:
 
 
 def chunk_path(path: Path, name: str, number: int) -> Path:
-    """Return the file of one chunk, by its number from 0, of the array `name` in the store at `path`."""
+    """Return the path of the file with the chunk `number`, from 0, of the array `name` in the cube `path`."""
     return path / name / _CHUNK_FILES.get(name, "c/{}/0/0").format(number)

@@ -1,4 +1,4 @@
-"""Read the ledger of a cube: steps done and failed, and bad frames with their faults.
+"""Read the progress of a run from the ledger of its cube: steps done and failed, and faults of frames.
 
 The ledger is the pair of arrays ``frame_status`` (status of each step) and ``frame_fault`` (fault of each
 frame and camera), which a run writes with each chunk. A step is the interval between two frames."""
@@ -44,22 +44,25 @@ class Status:
 
     Parameters
     ----------
-    store, experiment : path and str
-        The store, and the name of its experiment.
+    store : path
+        The cube.
+    experiment : str
+        Name of the experiment.
     recipe_hash : str
-        Hash of the recipe of the cube: settings, rig, grid, names of images, ...
-    steps, done, faulty, failed : int
-        Number of steps of the whole run; of those without bad frames (those next to lost or late frames
-        count, but have no values); of those measured although frames around them were bad; and of those that
-        could not be measured.
+        Hash of the cube's recipe, the record of all inputs (settings, rig, grid, names of images, ...).
+    steps : int
+        Number of steps of the whole run.
+    done, faulty, failed : int
+        Numbers of steps that were measured from good frames, were measured although some frames were bad, and
+        could not be measured. `done` includes steps without values next to lost or late frames.
     failed_steps : tuple of int
         Number of the first frame of each failed step.
     bad_frames : tuple of BadFrames
         Frames that were bad.
     verdict : Verdict or None
-        Remarks on the cube; None until its run has ended.
+        Remarks on the cube, which a run writes to a file at its end; None if there is no such file.
     lacks_verdict : bool
-        Whether the file of the verdict is missing although the run has ended.
+        Whether this file is missing although the run has ended.
     """
 
     store: Path
@@ -76,13 +79,14 @@ class Status:
 
     @property
     def exit_status(self) -> int:
-        """Exit status of a command: 1 if all steps failed, 3 for a remark or a missing verdict, else 0."""
+        """Exit status of a command: 1 if all steps failed, else 3 or 0.
+        It is 3 if a remark is more than a note, or if the run ended without a file of the verdict."""
         if self.failed and self.failed == self.steps:
             return 1
         return self.verdict.exit_status if self.verdict else 3 if self.lacks_verdict else 0
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all fields and properties as plain data, as ``wavefield status --json`` prints them."""
+        """Return all fields, `complete` and `left` as plain data; ``wavefield status --json`` prints them."""
         out = asdict(self) | {"store": str(self.store), "complete": self.complete, "left": self.left}
         out["bad_frames"] = [
             {"camera": b.camera, "fault": b.fault.name.lower(), "numbers": list(b.numbers)}
@@ -180,7 +184,7 @@ def status(store: str | Path) -> Status:
 
 
 def unfinished_note(store: str | Path) -> str:
-    """Return a warning, as text, if steps of a cube are not measured yet or have failed; else ""."""
+    """Return a warning, as text, if steps of a cube are not yet measured or have failed; else ""."""
     found = status(store)
     if found.complete and not found.failed:
         return ""

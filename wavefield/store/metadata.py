@@ -54,6 +54,6 @@ def write_metadata(path: Path, data: dict[str, Any]) -> None:
 
 
 def _checksum(data: Mapping[str, Any]) -> int:
-    """Return the CRC-32 of the content of ``zarr.json``; a checksum in it is left out."""
+    """Return the CRC-32 of the content of ``zarr.json``, without the attribute that holds a checksum."""
     attributes = {name: value for name, value in data["attributes"].items() if name != CHECKSUM}
     return zlib.crc32(json.dumps({**data, "attributes": attributes}, sort_keys=True).encode())

@@ -44,8 +44,8 @@ class Thinning:
 
 
 def thinning(group: CubeGroup) -> Thinning:
-    """Return which nodes and variables the preview of an open cube contains.
-    It has some 2000 nodes at most, and fewer if the record has over 16 000 steps."""
+    """Return which nodes of the grid and which variables the preview of an open cube contains.
+    A preview has some 2000 nodes at most, and fewer if the cube has over 16 000 steps."""
     names = tuple(name for name in CUBE_FIELDS if name in group)
     steps, ny, nx = group[names[0]].shape
     most = min(_NODES, max(1, _VALUES // max(steps, 1)))
@@ -72,7 +72,8 @@ def create_preview(group: CubeGroup) -> None:
 
 
 def _open(group: CubeGroup, thin: Thinning, mode: Literal["r", "r+"]) -> Any:
-    """Return the array ``fields`` of a preview, (variable, y, x, time); None unless it fits `thin`."""
+    """Return the array ``fields`` of a cube's preview, (variable, y, x, time), open in Zarr's `mode`.
+    None if it is absent or damaged, or if its variables or shape differ from `thin`."""
     with suppress(Exception):  # absent or damaged: the cube has it all
         root = group.store_path.store.root
         preview: Any = zarr.open_group(root / _GROUP, mode=mode, use_consolidated=False)
@@ -95,7 +96,8 @@ def _thinned(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np.i
 
 
 def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
-    """Write the fields (n, ny, nx) of the chunk from step `start` on into the preview of a cube, if any."""
+    """Write the chunk that begins with step `start` into the preview of a cube; nothing without a preview.
+    `fields` has the values of each variable in the chunk, (n, ny, nx), at all nodes of the cube."""
     thin = thinning(group)
     preview = _open(group, thin, "r+")
     if preview is not None:
@@ -115,8 +117,8 @@ def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDA
 
 
 def read_steps(group: CubeGroup, name: str, start: int, stop: int) -> NDArray[Any]:
-    """Return the steps `start` to `stop` - 1 of a variable of an open cube, (n, ny, nx), unpacked to float32.
-    StoreError if they are damaged."""
+    """Return the steps `start` to `stop` - 1 of a variable of an open cube, (n, ny, nx).
+    Values stored in 16 bits are unpacked to float32. StoreError if the steps are damaged."""
     array = group[name]
     with named_damage(group.store_path.store.root / name):
         values = np.asarray(array[start:stop])

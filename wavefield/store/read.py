@@ -52,9 +52,9 @@ class CubeStore(LocalStore):
 
 
 def _is_expected(root: Path, name: str, place: str) -> bool:
-    """Whether the file `place` of the array `name`, such as "3/0/0", must exist in the cube `root`.
-    Files of a chunk of steps must exist once the chunk was measured, except in ``frame_status``; all others
-    must exist at any time, and all files after the end of the run."""
+    """Whether the cube `root` should contain the file `place`, such as "3/0/0", of the array `name`.
+    After the end of the run it should contain all files. Before, it should contain those of the axes and of
+    measured chunks of steps, but perhaps not those of ``frame_status``."""
     attributes = read_metadata(root)["attributes"]
     if name not in CHUNKED or attributes.get(FINISHED):
         return True
@@ -64,7 +64,7 @@ def _is_expected(root: Path, name: str, place: str) -> bool:
 
 
 def is_started(path: Path, number: int) -> bool:
-    """Whether any step of the chunk `number` of the cube at `path` was tried, failed steps included."""
+    """Whether a run tried any step of the chunk `number`, from 0, of a cube; failed steps count as tried."""
     # the last four bytes of its file are a checksum
     with suppress(OSError):
         return any(chunk_path(path, "frame_status", number).read_bytes()[:-4])
@@ -72,7 +72,7 @@ def is_started(path: Path, number: int) -> bool:
 
 
 def find_store(path: str | Path) -> Path:
-    """Return the path of a cube: `path` itself, or the only cube in it if it is a folder of cubes.
+    """Return the path of a cube: `path` itself or, if this is a folder of cubes, the only cube in it.
     StoreError if the folder contains no cube or several."""
     path = Path(str(path).removeprefix("file://"))
     if not path.is_dir() or (path / "zarr.json").exists() or path.suffix == ".zarr":
@@ -122,7 +122,7 @@ def read_array(group: CubeGroup, path: Path, name: str) -> np.ndarray:
 
 
 def read_layout(group: Any) -> StoreLayout:
-    """Return the numbers of steps, chunks and cameras of an open cube, and its first frame number."""
+    """Return the sizes of an open cube: number of steps, steps per chunk, cameras, first frame number."""
     return StoreLayout(
         steps=group["frame_status"].shape[0],
         chunk_steps=int(group.attrs["steps_per_block"]),

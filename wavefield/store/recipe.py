@@ -1,7 +1,7 @@
 """The recipe of a cube: everything that determines its values, as plain data with a hash.
 
-A run resumes only with the recipe of its store. Results made from a cube, such as waves, carry the identity
-of the cube (`source_of`) and the state of its steps (`state_of`).
+A run continues an existing cube only if both have the same recipe. Results made from a cube, such as waves,
+carry the identity of the cube (`source_of`) and the state of its steps (`state_of`).
 """
 
 import hashlib
@@ -79,8 +79,9 @@ def _software() -> dict[str, str]:
 
 
 def differences(old: str, new: str) -> list[str]:
-    """Return one line, "grid.step: 0.01 there, 0.02 here", for each difference of two recipes (JSON text).
-    Entries that do not count for the hash are not compared."""
+    """Return a line, such as "grid.step: 0.01 there, 0.02 here", for each difference between two recipes.
+    `old` ("there") and `new` ("here") are recipes as JSON text. Entries that are not part of the recipe's
+    hash, such as versions of software, are not compared."""
     a, b = dict(_leaves(json.loads(old))), dict(_leaves(json.loads(new)))
     keys = [key for key in {**a, **b} if key.partition(".")[0] not in _LABELS and a.get(key) != b.get(key)]
     return [f"{key}: {a.get(key)!r} there, {b.get(key)!r} here" for key in keys]
@@ -96,8 +97,8 @@ def _leaves(data: object, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 
 def source_of(cube: Any) -> str:
-    """Return the identity of a cube (Dataset or open group): a hash of its recipe and images.
-    For a Dataset that no run wrote it is a hash of its axes and its experiment's name."""
+    """Return the identity of a cube (Dataset or open group): a hash of its recipe and of its images.
+    For a Dataset that no run wrote it is a hash of the axes and of the experiment's name."""
     if "recipe_hash" in cube.attrs:
         return identity_of(cube.attrs["recipe_hash"], cube.attrs.get("fingerprints"))
     axes = {name: cube[name].values.tolist() for name in ("time", "y", "x") if name in cube.coords}
@@ -105,7 +106,7 @@ def source_of(cube: Any) -> str:
 
 
 def state_of(cube: Any) -> str:
-    """Return a hash of a cube (Dataset or open group) that changes as further steps are measured."""
+    """Return a hash of a cube (Dataset or open group) that changes whenever further steps are measured."""
     if "recipe_hash" not in cube.attrs or "frame_status" not in cube:
         return source_of(cube)
     ledger = np.asarray(cube["frame_status"][...], np.uint8).tobytes().hex()
@@ -113,7 +114,8 @@ def state_of(cube: Any) -> str:
 
 
 def check_recipe(path: Path, attributes: Mapping[str, Any], recipe: Recipe) -> None:
-    """Raise StoreError, with two differences, if the cube at `path` was made with another recipe."""
+    """Raise StoreError if the cube at `path`, with these attributes, was made with another recipe.
+    The message lists two of the differences."""
     if attributes["recipe_hash"] == recipe.hash:
         return
     found = differences(str(attributes["recipe"]), recipe.to_json())

@@ -48,12 +48,13 @@ class Remark:
 
 @dataclass(frozen=True)
 class Verdict:
-    """All remarks on a measurement."""
+    """All remarks on a measurement, and how well the cameras agreed at some frames."""
 
     remarks: Sequence[Remark] = ()  # The gravest first
-    # For each pair of cameras, its agreement and its eps_y (epipolar error) at each of `frames`
+    # By pair, such as "cam1-cam2": ``agreement`` (fraction of matched patches) and ``eps_y`` (epipolar error,
+    # px), both lists with one number for each of `frames`
     pairs: Numbers = field(default_factory=dict)
-    frames: Sequence[int] = ()  # Indices of frames in the record, from 0
+    frames: Sequence[int] = ()  # Indices of the frames that were compared, from 0
 
     def __post_init__(self) -> None:
         gravest_first = sorted(self.remarks, key=lambda remark: -list(WORDS).index(remark.weight))
@@ -82,7 +83,7 @@ class Verdict:
         return "\n".join([f"verdict: {self.line}", *(f"  {remark}" for remark in self.remarks)])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the verdict and its remarks as plain data, as the option ``--json`` prints them."""
+        """Return the verdict and all remarks as plain data, as the option ``--json`` prints them."""
         return {
             "verdict": WORDS[self.weight],
             "line": self.line,
@@ -93,7 +94,7 @@ class Verdict:
 
     def save(self, store: Path) -> None:
         """Write the verdict next to the cube `store`, as ``verdict.json`` for ``cube.zarr``.
-        An earlier verdict is replaced; a StoreError is raised if another file has its name."""
+        An earlier verdict is replaced. StoreError if a file of this name is not a verdict."""
         path = beside(store, "verdict", ".json")
         check_verdict(store)
         data = self.to_dict()
@@ -102,7 +103,8 @@ class Verdict:
 
 
 def read_verdict(store: str | Path) -> Verdict | None:
-    """Return the verdict in the file next to a cube; None without one, StoreError if it was changed."""
+    """Return the verdict that a run wrote next to the cube `store`; None if there is no such file.
+    StoreError if the file was changed or is damaged."""
     path = beside(Path(store), "verdict", ".json")
     try:
         refuse_pipe(path, StoreError)
@@ -123,7 +125,7 @@ def read_verdict(store: str | Path) -> Verdict | None:
 
 
 def check_verdict(store: Path) -> None:
-    """Raise StoreError if the name of a cube's verdict is taken by another file."""
+    """Raise StoreError if a file that is not a verdict has the name of the cube's verdict."""
     path = beside(store, "verdict", ".json")
     try:
         known = read_verdict(store) is not None

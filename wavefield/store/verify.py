@@ -1,4 +1,4 @@
-"""Verify a store: all files exist, and their checksums are right.
+"""Verify a store: check that all files exist, and that their checksums are right.
 
 The ledger is the status of each step in the store (`wavefield.store.ledger`); a chunk is a range of steps
 that was written at once.
@@ -77,7 +77,7 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
     store : path
         A cube, finished or not, or a store of waves or smoothed fields.
     progress : callable, optional
-        Called with (number of chunks read, number of all chunks).
+        Called after each chunk with the number of chunks that were read and the number of all chunks.
 
     Returns
     -------
@@ -127,8 +127,9 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
 def _damages(
     path: Path, group: CubeGroup, layout: StoreLayout, number: int, read: bool = True
 ) -> Iterator[Damage]:
-    """Yield the damage of the chunk `number` of a cube; none if the run has not written the chunk.
-    Without `read` only ``frame_status`` is read, and the files of the other variables must exist."""
+    """Yield the damage of the chunk `number`, from 0, of a cube; none if no run has written the chunk.
+    With `read` all variables are read. Otherwise only ``frame_status`` is read, and the other variables are
+    checked for missing files."""
     start, stop = layout.chunks()[number]
 
     def damage(name: str) -> Damage:
@@ -152,7 +153,8 @@ def _damages(
 
 
 def missing_chunks(path: Path, layout: StoreLayout) -> list[int]:
-    """Return the first step of each chunk that has results, or a damaged ledger, but lacks a file."""
+    """Return the first step of each chunk that lost a file after it was written.
+    Chunks in which the status of the steps (``frame_status``) is damaged are included."""
     group = open_group(path)
     numbered = enumerate(layout.chunks())
     return [

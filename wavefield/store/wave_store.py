@@ -17,8 +17,8 @@ KIND = "wave store"
 
 def write_waves(tree: xr.DataTree, path: str | Path, source: str = "", inputs: Iterable[object] = ()) -> None:
     """Write the groups of a wave analysis as a wave store at `path`, completely or not at all.
-    `source` identifies the cube (`source_of`); only a store with the same source is replaced. `inputs` are
-    files that the same command reads and must not overwrite."""
+    `source` identifies the cube (`source_of`); only an unchanged wave store of the same cube is replaced.
+    `inputs` are files and stores that the same command reads and must not overwrite."""
     # Zarr 3 has strings of any length only
     tree = tree.map_over_datasets(
         lambda group: group.assign_coords(
@@ -51,13 +51,13 @@ def open_waves(path: str | Path) -> xr.DataTree:
     Returns
     -------
     DataTree
-        One group per result: ``spectra``, ``komega``, ``coherence``, ... The page on the wave store lists
-        their attributes and variables.
+        One group per result: ``spectra``, ``komega``, ``coherence``, ... The page of the documentation on the
+        wave store lists the attributes and variables of each group.
 
     Raises
     ------
     StoreError
-        If the store is not there, or was changed or damaged.
+        If the store does not exist, or was changed or damaged.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Write results into a cube chunk by chunk; clear or reset steps; change labels.
+"""Write results into a cube chunk by chunk; clear or reset steps; change the name and description.
 
 A chunk is a range of steps, and has one file in every array, so any number of processes may write different
 chunks at once. Files are renamed into place when complete, so a killed process never leaves half a file. The
@@ -36,9 +36,9 @@ def write_chunk(
     faults: Mapping[str, Mapping[int, FrameFault]],
 ) -> None:
     """Write all results of one chunk into the cube at `path`; ``frame_status`` is written last.
-    `start` is the first step of the chunk. `fields` has the variables `CUBE_FIELDS`, (n, ny, nx), in their
-    units, `frame_status` (n,) the `FrameStatus` of each step, and `faults` the bad frames of each camera, by
-    index in the record."""
+    `start` is the first step of the chunk. `fields` has the variables `CUBE_FIELDS`, (n, ny, nx), in SI units
+    (px for ``eps_piv``), and `frame_status` (n,) the `FrameStatus` of each step. `faults` has, by camera, the
+    fault of each bad frame by the frame's index in the record."""
     group = open_group(path, "r+")
     layout = read_layout(group)
     stop = min(start + layout.chunk_steps, layout.steps)
@@ -66,9 +66,10 @@ def write_chunk(
 
 
 def clear_steps(path: Path, steps: Sequence[int]) -> None:
-    """Mark measured steps, by index, as discontinuous, and clear their values: NaN, and 0 in ``quality``.
-    Steps that are not measured or have failed stay as they are. The status of all steps is written before any
-    value, so that the next run can finish the work after an interruption."""
+    """Mark those of `steps` (indices) that were measured as discontinuous, and clear their values.
+    Cleared values are NaN, and 0 in ``quality``. Steps that are not measured or have failed stay as they are.
+    The status of all steps is written before any value, so that the next run can finish the work after an
+    interruption."""
     group = open_group(path, "r+")
     layout = read_layout(group)
     with writing(path), zarr.config.set(FILES_OF_ALL_CHUNKS):
@@ -92,8 +93,9 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
 
 
 def relabel(path: Path, name: str, description: Mapping[str, object]) -> list[str]:
-    """Set the name and the descriptive attributes (`DESCRIPTION`) of a cube to those of an experiment.
-    Attributes that `description` lacks are removed. Returns "KEY: old there, new here" for each change."""
+    """Set the experiment's name and the descriptive attributes of the cube at `path`.
+    `description` holds the values of the attributes in `DESCRIPTION`; those that it lacks are removed.
+    Returns a line for each change, with the old value ("there") and the new value ("here")."""
     labels = {"experiment": name, "title": title(name), **dict.fromkeys(DESCRIPTION), **description}
     there = open_group(path).attrs
     changed = [key for key, value in labels.items() if there.get(key) != value]
@@ -103,13 +105,14 @@ def relabel(path: Path, name: str, description: Mapping[str, object]) -> list[st
 
 
 def _write_ledger(path: Path, group: CubeGroup, start: int, frame_status: np.ndarray) -> None:
-    """Write `frame_status` of the chunk that begins with step `start`, and wait until it is on the disk."""
+    """Write the `frame_status` (n,) of the chunk that begins with step `start`, and wait for the disk."""
     group["frame_status"][start : start + frame_status.size] = frame_status
     _to_disk(path, start // read_layout(group).chunk_steps, ("frame_status",))
 
 
 def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
-    """Wait until the files of a chunk (by index) in the arrays `names`, and their folders, are stored."""
+    """Wait until a chunk's files in the arrays `names`, and the folders of these files, are on the disk.
+    `chunk` is the number of the chunk, from 0."""
     folders: dict[Path, None] = {}
     for name in names:
         file = chunk_path(path, name, chunk)
@@ -121,7 +124,7 @@ def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
 
 
 def reset_chunks(path: Path, starts: Sequence[int]) -> None:
-    """Mark the chunks that begin with these steps as not started, and the cube as unfinished."""
+    """Mark the chunks that begin with the steps `starts` as not started, and the cube as unfinished."""
     if not starts:
         return
     update_metadata(path, {FINISHED: None})

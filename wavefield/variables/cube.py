@@ -29,7 +29,8 @@ class Quality(IntFlag):
 
     @classmethod
     def without(cls, number: int) -> "Quality":
-        """Return the bits of a node that was measured without one camera, by its index in ``cameras``."""
+        """Return the bits of a node that was measured without one camera.
+        `number` is the index of this camera, from 0, in the attribute ``cameras`` of the cube."""
         return cls.FEWER_CAMERAS | cls(cls.WITHOUT_1.value << min(number, 5))
 
 

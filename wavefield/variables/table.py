@@ -1,4 +1,4 @@
-"""The table of variables, which defines attributes, checks and documentation; and conversion of units."""
+"""The table of variables, from which attributes, checks and documentation follow; conversion of units."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -46,7 +46,8 @@ def product(*factors: tuple[str, int]) -> str:
 
 
 def factor(given: str, requested: str) -> float | None:
-    """Return the factor from a given to a requested unit (0.01 from cm/s to m s-1); None if none fits."""
+    """Return the factor from a given to a requested unit, such as 0.01 from "cm/s" to "m s-1".
+    None if the units measure different quantities, or if one cannot be read."""
     scale = 1.0
     left: dict[str, int] = {}
     for unit, sign in ((given, 1), (requested, -1)):
@@ -101,7 +102,7 @@ class Variable:
         return out | dict(self.extra)
 
     def of(self, what: str, units: str) -> dict[str, Any]:
-        """Return the attributes of the variable for one quantity, called `what`, in the quantity's units."""
+        """Return the attributes with " of `what`" added to the long name, and with other units."""
         return self.attrs | {"long_name": f"{self.long_name} of {what}", "units": units}
 
 
@@ -109,14 +110,15 @@ TABLE: dict[str, Variable] = {}
 
 
 def register(*rows: Variable) -> None:
-    """Add rows to the table of variables; raise ValueError if the table has another row of that name."""
+    """Add rows to the table of variables; ValueError if the table has a different row with the same key."""
     for row in rows:
         if TABLE.setdefault(row.key, row) != row:
             raise ValueError(f"variable {row.key!r} is already in the table")
 
 
 def find(name: str, group: str = "") -> Variable | None:
-    """Return the row of the table for a variable of a group, or else that of this name without a group."""
+    """Return the row of the table for a variable of a group, or else for this name without a group.
+    None if there is neither."""
     return TABLE.get(f"{group}/{name}", TABLE.get(name))
 
 
@@ -126,7 +128,8 @@ def rows_of(group: str) -> Iterator[Variable]:
 
 
 def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
-    """Return a copy of a dataset in which each variable has the attributes of its row in the table."""
+    """Return a copy of a dataset in which each variable has the attributes of its row in the table.
+    Rows of `group` are preferred; variables without a row keep their attributes."""
     out = dataset.copy()
     for name in [*out.coords, *out.data_vars]:
         row = find(str(name), group)
@@ -136,7 +139,8 @@ def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
 
 
 def _one(array: "xr.DataArray", row: Variable) -> Any:
-    """Return an array with the dimensions in order and the units of its row; CubeError if it does not fit."""
+    """Return an array with the order of dimensions and the units of its row in the table.
+    CubeError if its dimensions, type or units do not fit."""
     if set(array.dims) != set(row.dims):
         raise CubeError(f"{row.name!r} has dimensions {array.dims}, expected {row.dims}")
     kind = np.dtype(row.dtype).kind

@@ -90,8 +90,9 @@ def rig_of_file(
     own: Sequence[str] | None = None,
 ) -> Rig:
     """Make a rig of the cameras that a file stores.
-    `origin` names the program in error messages, and `note` is written to the provenance. The names `own`
-    that the file gives to its cameras are used unless the user gave names or two of them are equal."""
+    `origin` is what error messages call the file, and `note` is written to the provenance. The names that the
+    file gives to its cameras, `own`, are used if the user gave none, and if they are distinct and not
+    empty."""
     if cameras[0].pose is FIRST_CAMERA:
         left_out = "no pose in the world: the frame is that of the first camera; level it on the water"
         note = {"left_out": left_out, **note}
@@ -108,7 +109,8 @@ def rig_of_file(
 
 
 def rotation_near(matrix: Array) -> Array:
-    """Return the rotation (3, 3) nearest to a matrix with rounding errors; RigError if there is none."""
+    """Return the rotation (3, 3) nearest to a matrix with rounding errors.
+    RigError if an element of the matrix differs from it by over 0.001."""
     U, _, V = np.linalg.svd(matrix)
     nearest: Array = U @ V
     if not np.abs(nearest - matrix).max() < 1e-3 or np.linalg.det(nearest) < 0:
@@ -136,7 +138,7 @@ def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[f
 
 
 def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
-    """Raise a RigError if a camera has a lens term other than `terms`, which the program has."""
+    """Raise a RigError if a lens term of a camera is not zero and not among `terms`, those of the program."""
     extra = [
         term
         for term in ("k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")
@@ -163,7 +165,8 @@ def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
 
 
 def refuse_implausible(cameras: Sequence[StoredCamera], unit: str) -> None:
-    """Raise a RigError if cameras would be over `MAX_DISTANCE` metres apart and the unit is not known."""
+    """Raise a RigError if `unit` is empty and two cameras are over `MAX_DISTANCE` (20 m) apart.
+    The unit of length in the file is then probably not the metre."""
     centres = [-one.pose[0].T @ one.pose[1] for one in cameras]
     apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     if not unit and apart > MAX_DISTANCE:

@@ -61,8 +61,8 @@ def _camera(mapper: ET.Element, length: float) -> StoredCamera:
 
 
 def _number(mapper: ET.Element, tag: str, name: str, absent: float | None = None) -> float:
-    """Return the number in the attribute `name` of the child element `tag`.
-    If there is none it is the default `absent`, or a RigError without a default."""
+    """Return the number in the attribute `name` of the element `tag` inside `mapper`.
+    If it is missing, `absent` is returned, or a RigError is raised if `absent` is None."""
     element = mapper.find(f".//{tag}")
     text = None if element is None else element.get(name)
     if text is None:

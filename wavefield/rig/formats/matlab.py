@@ -69,7 +69,7 @@ def load_matlab(path: Path, options: ImportOptions) -> Rig:
 
 
 def _world_units(data: object) -> str:
-    """Return the unit of length that the calibration states in any of its nested structs; empty if none."""
+    """Return the unit of length that any of the nested structs of a calibration states; "" if none does."""
     if not isinstance(data, Mapping):
         return ""
     own = data.get("WorldUnits")

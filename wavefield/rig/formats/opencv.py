@@ -66,7 +66,8 @@ def _nodes(path: Path) -> Nodes:
 
 
 def _parts_of_cameras(nodes: Nodes) -> dict[str, Parts]:
-    """Sort the nodes of a file by camera: a number, left or right in the node's name, or else ""."""
+    """Return the nodes of a file by camera, and for each camera by their key in `Parts`.
+    The camera is a number, left or right (l, r) in the name of a node, or else ""."""
     out: dict[str, Parts] = {}
     for name, value in nodes:
         head = re.match(r"(?:cam(?:era)?)?(\d+)", name)
@@ -122,7 +123,8 @@ def load_opencv(path: Path, options: ImportOptions) -> Rig:
 
 
 def _cameras(nodes: Nodes) -> list[Parts]:
-    """Return the nodes of each camera, in order, with those that all share; RigError if there are none."""
+    """Return the nodes of each camera, in order, with the nodes that all cameras share.
+    RigError if there is no camera matrix."""
     found = _parts_of_cameras(nodes)
     shared = found.get("", {})
     order = sorted((camera for camera in found if "K" in found[camera]), key=_order)
@@ -148,7 +150,8 @@ def _stored_size(parts: Parts) -> tuple[float, float] | None:
 
 
 def _pose(n: int, name: str, parts: Parts, by_name: Mapping[str, Array]) -> Pose:
-    """Return the pose of the nth camera (from 0), in the world or else in the first camera's frame."""
+    """Return the pose of the camera at index `n`, in the world or else in the first camera's frame.
+    `parts` are the nodes of the camera, `by_name` all nodes of the file. RigError if there is no pose."""
     if "worldr" in parts and "worldt" in parts:
         return rotation_near(parts["worldr"]), parts["worldt"].ravel()
     if n == 0:

@@ -47,7 +47,7 @@ def load_uvmat(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
 
 
 def _check_size(calibration: ET.Element, size: tuple[int, int]) -> None:
-    """Raise a RigError if a point of the calibration is outside an image of the stated (width, height)."""
+    """Raise a RigError if a point of the calibration is outside an image of the size (width, height), px."""
     marked = [
         [float(v) for v in (point.text or "").split()]
         for point in calibration.iterfind("SourceCalib/PointCoord")
