@@ -66,7 +66,7 @@ class FlowEstimate:
 
 def filled(found: matching.Displacement) -> Float:
     """Return u and v of a match, (2, ny, nx), px, with invalid blocks filled by means of those around."""
-    return np.moveaxis(push_pull(np.stack([found.u, found.v], axis=-1), found.valid), -1, 0)
+    return push_pull(np.stack([found.u, found.v]), found.valid)
 
 
 def harmonics(midway: Float) -> Float:

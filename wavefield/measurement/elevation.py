@@ -39,7 +39,7 @@ class Blocks:
     @property
     def filled(self) -> Float:
         """Elevation with holes filled by means of the blocks around, (1, ny, nx), metres."""
-        return np.moveaxis(push_pull(self.z[..., None], self.valid), -1, 0)
+        return push_pull(self.z[None], self.valid)
 
 
 def combine(matches: Sequence[PairMatch]) -> Blocks:

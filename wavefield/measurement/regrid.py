@@ -37,32 +37,32 @@ class BlockLattice:
 
 
 def push_pull(fields: Float, valid: Mask) -> Float:
-    """Return fields (ny, nx, F), filled where `valid` is False by means over squares as large as needed."""
-    weight = valid.astype(np.float32)[..., None]
-    levels = [(np.where(weight > 0, fields, np.float32(0)), weight)]
-    while min(weight.shape[:2]) > 1 and not weight.all():
-        sums, weight = (_sums_of_four(part) for part in levels[-1])
-        levels.append((sums, weight))
-    means = [(sums / np.maximum(weight, np.float32(1)), weight) for sums, weight in levels]
-    out, _ = means.pop()
-    for mean, weight in reversed(means):
-        out = np.where(weight > 0, mean, _doubled(out, weight.shape[:2]))
-    return np.asarray(out)
-
-
-def _sums_of_four(field: Float) -> Float:
-    """Return the sums of a field (ny, nx, F) over squares of 2 x 2 blocks."""
-    ny, nx = field.shape[:2]
-    even = np.pad(field, [(0, ny % 2), (0, nx % 2), (0, 0)])
-    return np.asarray(((even[::2, ::2] + even[::2, 1::2]) + even[1::2, ::2]) + even[1::2, 1::2])
+    """Return fields (F, ny, nx), filled where `valid` is False by means over squares as large as needed."""
+    # sums over squares of 1, 2, 4, ... blocks; the last plane is the number of valid blocks
+    level = np.concatenate([np.where(valid, fields, 0), valid[None]]).astype(np.float32)
+    levels = [level]
+    while min(level.shape[1:]) > 1 and not level[-1].all():
+        ny, nx = level.shape[1:]
+        if ny % 2 or nx % 2:
+            level = np.pad(level, [(0, 0), (0, ny % 2), (0, nx % 2)])
+        upper, lower = level[:, ::2], level[:, 1::2]
+        level = ((upper[..., ::2] + upper[..., 1::2]) + lower[..., ::2]) + lower[..., 1::2]
+        levels.append(level)
+    means = [level[:-1] / np.maximum(level[-1], np.float32(1)) for level in levels]
+    out: Float = means.pop()
+    for mean, level in zip(reversed(means), reversed(levels[:-1])):
+        out = np.where(level[-1] > 0, mean, _doubled(out, level.shape))
+    # components side by side in memory: the rounding of later sums depends on it
+    return np.moveaxis(np.stack(list(out), axis=-1), -1, 0)
 
 
 def _doubled(coarse: Float, shape: tuple[int, ...]) -> Float:
-    """Interpolate a field (., ., F) to a lattice (ny, nx) of twice as many blocks."""
-    for axis, n in reversed(list(enumerate(shape))):
+    """Interpolate fields (F, ., .) to a lattice of twice as many blocks, (F, ny, nx)."""
+    for axis in (2, 1):
         # the centre of a block lies a quarter of a coarse block away from that of its coarse block
-        near = np.arange(n) // 2
-        far = np.clip(near + 2 * (np.arange(n) % 2) - 1, 0, coarse.shape[axis] - 1)
+        block = np.arange(shape[axis])
+        near = block // 2
+        far = np.clip(near + 2 * (block % 2) - 1, 0, coarse.shape[axis] - 1)
         start = coarse.take(near, axis)
         coarse = start + np.float32(0.25) * (coarse.take(far, axis) - start)
     return coarse
