@@ -134,7 +134,7 @@ def choose_model(
 
 
 def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: Array) -> dict[str, float]:
-    """Return the expected rms error of projected points (n, 3), px, by model: the variance plus squared bias.
+    """Return the expected rms error of projected points (n, 3), px, by model, from variance and bias.
     The bias is the difference from the model `reference`, less what noise explains."""
     pixel: dict[str, Array] = {}
     variance: dict[str, float] = {}

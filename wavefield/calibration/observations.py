@@ -44,7 +44,7 @@ class Findings:
     left_out: dict[str, int] = field(default_factory=dict)  # Points left out, by view ("camera pose")
 
     def leave_out(self, camera: str, pose: str, points: int, reason: str = "") -> None:
-        """Record that a number `points` of points of a view are left out; add a note if a reason is given."""
+        """Record that `points` points of a view are left out, and add a note if a reason is given."""
         view = f"{camera} {pose}"
         self.left_out[view] = self.left_out.get(view, 0) + points
         if reason:

@@ -1,4 +1,4 @@
-"""Simulated experiments with exact truth: a sea, beads on it, cameras above it, targets, probes."""
+"""Simulated experiments with known truth: a sea, beads on it, cameras above it, targets and wave probes."""
 
 from wavefield.tank.rigs import paper_rig
 from wavefield.tank.scene import Scene

@@ -15,8 +15,8 @@ T = TypeVar("T")
 
 
 class FrameHistory(Generic[T]):
-    """The states of a simulation, by frame, computed one after the other with `advance(state, frame)`.
-    Only the first and a few latest are kept: an earlier one is computed again from frame 0."""
+    """The states of a simulation, by frame number, computed one after the other by `advance(state, frame)`.
+    Only the first state and the latest few are kept; older ones are computed again from frame 0."""
 
     def __init__(self, first: T, advance: Callable[[T, int], T]) -> None:
         self._states, self._advance = {0: first}, advance
@@ -42,8 +42,9 @@ GROUP_SPREAD = 0.002  # standard deviation of their positions in the cluster, m
 
 
 def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, end: Velocity) -> Array:
-    """Return positions (2 or 3, ...), m, after one fourth-order Runge-Kutta step of h, s.
-    `start`, `middle` and `end` return the velocity at x, y, m/s, at the times 0, h / 2 and h."""
+    """Return positions (2 or 3, ...), m, after one fourth-order Runge-Kutta step of length h, s.
+    `start`, `middle` and `end` are functions of x and y, m, that return the velocity, m/s, at the beginning,
+    the middle and the end of the step."""
     k1 = start(position[0], position[1])
     p2 = position + h / 2 * k1
     k2 = middle(p2[0], p2[1])
@@ -55,7 +56,8 @@ def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, en
 
 
 def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[Array, Array]:
-    """Return x, y, m, of points that the surface water carried from `start` to `end`, s; NaN if out."""
+    """Return x, y, m, of points that the surface water carries from time `start` to time `end`, s.
+    `end` may be before `start`. Points that leave the basin become NaN."""
     steps = max(1, int(np.ceil(abs(end - start) / MAX_SUBSTEP_S - 1e-9)))
     h = (end - start) / steps
     names = ("u", "v")
@@ -69,8 +71,9 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
 
 
 def centred_path(carried: Callable[[Array, Array, float], Array], x: Array, y: Array, half: float) -> Array:
-    """Return start and end (2, 2 or 3, ...), m, of paths from -half to half, s, whose mean is x, y.
-    `carried(px, py, t)` returns where water that is at (px, py) at time 0 is at time t."""
+    """Return the start and end points, (2, 2 or 3, ...), m, of paths from time -half to half, s.
+    The mean of start and end is at x, y. `carried(px, py, t)` returns where water that is at (px, py) at time
+    0 is at time t."""
     px, py = x, y
     # correct the position at mid-time until the mean of both ends is the given point
     for _ in range(3):
@@ -81,7 +84,7 @@ def centred_path(carried: Callable[[Array, Array, float], Array], x: Array, y: A
 
 @dataclass(frozen=True)
 class BeadField:
-    """The beads of a scene, or the particles of a light sheet, in one frame."""
+    """Positions and brightness of all beads, or of the particles in a light sheet, in one frame."""
 
     x: Array  # (n,): Positions, metres
     y: Array
@@ -91,7 +94,8 @@ class BeadField:
 
 class Population:
     """Beads on a rectangle of water with limits x and y, m; those that leave return on the other side.
-    A fraction moves to random places each second, which keeps the density even in long records."""
+    A small fraction moves to random places each second, so that the density stays even in long records.
+    `cameras` is the number of cameras."""
 
     def __init__(
         self, scene: Scene, basin: Basin, x: tuple[float, float], y: tuple[float, float], cameras: int
@@ -127,7 +131,7 @@ class Population:
         return len(self._frames[0].x)
 
     def frame(self, frame: int) -> BeadField:
-        """Return the beads in a frame, counted from 0; ask for frames in rising order."""
+        """Return the beads in a frame, counted from 0. Requests in rising order of frames are fast."""
         return self._frames[frame]
 
     def _field(self, x: Array, y: Array, frame: int) -> BeadField:
@@ -135,7 +139,7 @@ class Population:
         return BeadField(x, y, z - self._below, self._brightness)
 
     def _advance(self, beads: BeadField, frame: int) -> BeadField:
-        """Return the beads in frame + 1, from the beads in `frame`."""
+        """Return the beads in frame + 1, from those in `frame`."""
         time = self._scene.frame_time
         x, y = carry(self._basin, beads.x, beads.y, time(frame), time(frame + 1))
         for p, (low, high) in ((x, self._x), (y, self._y)):

@@ -31,8 +31,9 @@ class SheetFlow:
 
     @classmethod
     def random(cls, settings: Sheet, period: tuple[float, float], seed: int) -> "SheetFlow":
-        """Return a random flow with the rms velocities of `settings` and periods along x and y, m.
-        Logarithms of wavelengths are even, from `settings.shortest` to half the smaller period."""
+        """Return a random flow with the rms velocities of `settings`.
+        Wavelengths are spread evenly in the logarithm from `settings.shortest` to half the smaller period;
+        `period` holds those along x and y, m."""
         rng = np.random.default_rng([seed, 11])
         longest = 0.5 * min(period)
         k = 2 * np.pi / longest * (longest / settings.shortest) ** rng.uniform(0.0, 1.0, WAVES_OF_FLOW)
@@ -55,7 +56,8 @@ class SheetFlow:
         return out.reshape(3, *np.shape(x))
 
     def carry(self, x: Array, y: Array, time: float) -> Array:
-        """Return where fluid that is at (x, y), m, is after `time`, s: x, y and its rise, (3, ...), m."""
+        """Return where fluid that is at (x, y), m, is after `time`, s.
+        The result is x, y and the rise normal to the sheet, (3, ...), m."""
         fastest = np.hypot(*self.k.T).max() * 2.0 * np.sqrt(np.sum(np.abs(self.along) ** 2))
         steps = max(1, int(np.ceil(abs(time) * fastest / MAX_TURN)))
         position = np.stack([x, y, np.zeros(np.shape(x))])
@@ -87,8 +89,9 @@ def _velocity(
 
 
 class Particles:
-    """Particles that a flow moves through a light sheet, evenly in a layer twice as thick as the sheet.
-    x and y are the layer's limits, m; particles that leave it return on its opposite side."""
+    """Particles in a light sheet that a flow moves. They fill a layer twice as thick as the sheet evenly.
+    x and y are the limits of the layer, m; particles that leave it return on the opposite side. `cameras` is
+    the number of cameras."""
 
     def __init__(
         self, scene: Scene, settings: Sheet, x: tuple[float, float], y: tuple[float, float], cameras: int
@@ -104,7 +107,9 @@ class Particles:
         self._places = FrameHistory(first, self._advance)
 
     def frame(self, frame: int) -> BeadField:
-        """Return the particles in a frame, counted from 0; ask for frames in rising order."""
+        """Return positions and brightness of the particles in a frame, counted from 0.
+        The brightness falls with the distance from the middle of the sheet. Requests in rising order of
+        frames are fast."""
         x, y, height = self._places[frame]
         n = (height - 0.5) * SLAB_THICKNESS * self._settings.thickness
         light = np.exp(-8.0 * (n / self._settings.thickness) ** 2)
@@ -112,14 +117,16 @@ class Particles:
         return BeadField(px, py, pz, self._brightness * light)
 
     def _advance(self, places: Array, frame: int) -> Array:
-        """Return the positions (3, n) in the next frame: x, y, m, and height as a fraction of the layer."""
+        """Return the positions (3, n) in the next frame, from `places` in `frame`.
+        They are x and y, m, and the height in the layer as a fraction of its thickness."""
         x, y, rise = self.flow.carry(places[0], places[1], self._step)
         (x0, x1), (y0, y1) = self._x, self._y
         height = places[2] + rise / (SLAB_THICKNESS * self._settings.thickness)
         return np.stack([x0 + np.mod(x - x0, x1 - x0), y0 + np.mod(y - y0, y1 - y0), np.mod(height, 1.0)])
 
     def truth(self, x: Array, y: Array, time: float) -> Truth:
-        """Return the exact velocities and displacements, in sheet axes, at nodes x, y (ny, nx), m; z is 0."""
+        """Return the exact velocities and displacements at grid nodes x, y (ny, nx), m, for one step.
+        They are along the axes of the sheet, and the same at any `time`, s, as the flow is steady; z is 0."""
         start, end = centred_path(self.flow.carry, x, y, self._step / 2)
         zero = np.zeros(np.shape(x))
         u, v, w = self.flow(x, y)
@@ -128,7 +135,8 @@ class Particles:
 
 
 def plane(settings: Sheet) -> tuple[Array, Array]:
-    """Return unit vectors along x, y and the normal of the sheet (columns of (3, 3)), and its origin, m."""
+    """Return the axes (3, 3) of a light sheet and its origin (3,), m.
+    The columns of the axes are unit vectors along x and y in the sheet and along its normal."""
     bx, by = np.tan(np.radians(settings.tilt))
     normal = np.array([-bx, -by, 1.0]) / np.sqrt(1.0 + bx * bx + by * by)
     x = np.array([1.0, 0.0, bx]) / np.sqrt(1.0 + bx * bx)

@@ -1,4 +1,4 @@
-"""Predict the errors of an experiment before it is built: measure one step of a simulated tank."""
+"""Predict the errors of an experiment before it is built, from one step of a simulated tank."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +14,7 @@ from wavefield.tank.scene import Scene
 from wavefield.tank.tank import Tank
 from wavefield.variables import AROUND, Quality
 
-EDGE = 0.04  # errors nearer to the edge of the grid are not counted, m
+EDGE = 0.04  # m: errors nearer to the edge of the grid are not counted
 
 
 def plan(
@@ -22,8 +22,8 @@ def plan(
 ) -> xr.Dataset:
     """Predict the errors of an experiment from one simulated step of it.
 
-    Draws images of the scene, measures them, and compares the fields with the exact ones. In a grid that is
-    large enough, nodes within 4 cm of the edge do not count. Takes a few seconds for a small grid.
+    The function draws images of the scene, measures them, and compares the fields with the exact ones. If the
+    grid is large enough, its nodes within 4 cm of the edge do not count. A small grid takes a few seconds.
 
     Parameters
     ----------
@@ -37,10 +37,10 @@ def plan(
     Returns
     -------
     Dataset, (quantity,)
-        For z and the displacements u dt, v dt, w dt: ``error``, the rms error, and ``stated``, the rms of the
-        standard uncertainty, both in px (of ``attrs["pixel_size"]`` metres); ``within``, the fraction of
-        errors within one standard uncertainty (68 % if it is right). ``measured`` is the fraction of the
-        counted nodes that are measured.
+        For z and the displacements u dt, v dt, w dt over one frame interval. ``error`` is the rms error,
+        ``stated`` the rms of the standard uncertainty that the measurement gives, both in px (a pixel is
+        ``attrs["pixel_size"]`` metres). ``within`` is the fraction of errors that are smaller than the
+        standard uncertainty (68 % if it is right), ``measured`` the fraction of nodes with a measurement.
 
     Raises
     ------

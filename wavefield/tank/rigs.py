@@ -1,4 +1,4 @@
-"""Exact cameras of simulated experiments: the rig of Aubourg et al. (2019), light sheets, a platform."""
+"""Exact cameras of simulated experiments: the rig of Aubourg et al. (2019), light sheets, a sea platform."""
 
 from dataclasses import replace
 
@@ -63,8 +63,9 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
 
 
 def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: tuple[int, int]) -> Rig:
-    """Return cameras at `angle` degrees on both sides of a light sheet, and perhaps a vertical `cam3`.
-    `distance` from the sheet and `pixel` on it are in m. The outer sensors are tilted (Scheimpflug)."""
+    """Return cameras at `angle` degrees on both sides of a light sheet, and if `cameras` is 3 a vertical one.
+    `distance` from the sheet and the size `pixel` of a pixel on it are in m; `size` is (width, height), px.
+    The outer sensors are tilted (Scheimpflug)."""
     made = {}
     for name, side, roll, k1 in (("cam1", -1, 0.4, -0.04), ("cam2", 1, -0.5, -0.03), ("cam3", 0, 0.3, 0.03)):
         lean = np.radians(angle * side)
@@ -77,8 +78,9 @@ def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: t
 
 
 def platform_rig(height: float, baseline: float, pitch: float, focal: float, size: tuple[int, int]) -> Rig:
-    """Return the cameras `left` and `right`, a `baseline` apart at a `height` above the sea, m, towards +y.
-    Their axes are `pitch` degrees below the horizontal; `focal` and `size` are in px."""
+    """Return cameras `left` and `right` at a `height` above the sea, m, that look towards +y.
+    `baseline`, m, is the distance between them and `pitch`, degrees, the angle of their axes below the
+    horizontal. The `focal` length and the `size` of the images (width, height) are in px."""
     made = {}
     for name, side, roll, turn, down, k1 in (
         ("left", -1, 0.8, 1.1, 0.3, -0.05),
@@ -103,7 +105,8 @@ def _camera(
 
 
 def _orientation(axis: Array, roll: float) -> Array:
-    """Return the rotation (3, 3), rig to camera, of a camera along `axis` (3,), turned by `roll`, rad."""
+    """Return the rotation (3, 3) from world to camera of a camera that looks along `axis` (3,).
+    `roll`, rad, is its rotation about this axis."""
     down = np.array([0.0, -1.0, 0.0])
     right = np.cross(down, axis)
     c, s = np.cos(roll), np.sin(roll)
@@ -113,14 +116,16 @@ def _orientation(axis: Array, roll: float) -> Array:
 def bounds(
     rig: Rig, lowest: float, highest: float, margin: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits in x and y, m, of the water that any camera sees at these heights, plus `margin`."""
+    """Return the limits in x and in y, m, of all water that any camera sees, widened by `margin`, m.
+    The water may be at any height from `lowest` to `highest`, m."""
     corners = np.concatenate([_bounding(rig[name], z) for name in rig for z in (lowest, highest)])
     low, high = np.nanmin(corners, axis=0) - margin, np.nanmax(corners, axis=0) + margin
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
 def _bounding(camera: Camera, height: float) -> Array:
-    """Return points (n, 2), m, that span a camera's view of the plane at `height`, m, up to the horizon."""
+    """Return points (n, 2), m, around the part of the plane at `height`, m, that is in the camera's view.
+    If the horizon is in view, the part ends there."""
     corners = camera.corners(height)
     if np.isfinite(corners).all():
         return corners
@@ -129,7 +134,7 @@ def _bounding(camera: Camera, height: float) -> Array:
 
 
 def pixel_footprint(camera: Camera) -> tuple[float, float]:
-    """Return how much still water the middle pixel of the image covers along x and along y, m."""
+    """Return the size along x and along y, m, of the still water that the image's middle pixel covers."""
     x, y = camera.unproject((camera.size[0] - 1) / 2, (camera.size[1] - 1) / 2)
     jacobian = camera.jacobian(x, y, 0.0)
     return float(1.0 / np.hypot(*jacobian[:, 0])), float(1.0 / np.hypot(*jacobian[:, 1]))

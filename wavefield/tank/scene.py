@@ -37,7 +37,7 @@ from wavefield.tank.sea import Sea
 
 
 def _kind_of_rig(value: object) -> str:
-    """Return the pydantic tag, such as "sheet-rig", of a rig given as an instance or as a mapping."""
+    """Return the tag of a rig in `Scene`, such as "sheet-rig"; `value` is an instance or a mapping."""
     if isinstance(value, RigFile) or (isinstance(value, Mapping) and "file" in value):
         return "rig-file"
     if isinstance(value, PlatformRig) or (isinstance(value, Mapping) and "height" in value):
@@ -127,11 +127,11 @@ class Scene(Part):
         return self
 
     def time(self, frame: float) -> float:
-        """Return the simulated time, s, of a frame counted from 0, without the clock's jitter."""
+        """Return the simulated time, s, of a frame counted from 0, without random errors of the clock."""
         return self.start + frame / self.frame_rate
 
     def frame_time(self, frame: float) -> float:
-        """Return the simulated time, s, at which the cameras take a frame, with the clock's random jitter."""
+        """Return the simulated time, s, when cameras take a frame, with the random errors of the clock."""
         jitter = self.timing.jitter
         if not jitter:
             return self.time(frame)
@@ -181,7 +181,7 @@ class Scene(Part):
 
     @staticmethod
     def presets() -> dict[str, Path]:
-        """Return the files of the scenes that come with wavefield, by name."""
+        """Return the YAML files of the scenes that come with the program, by name."""
         folder = Path(__file__).parent / "scenes"
         return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 

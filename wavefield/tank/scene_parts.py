@@ -25,7 +25,7 @@ def _rising(limits: Limits) -> Limits:
 
 
 class Part(ConfigSection):
-    """A part of a scene, with settings that are checked once and cannot be changed afterwards."""
+    """Base of all parts of a scene: settings that are checked once and cannot be changed afterwards."""
 
     model_config = ConfigDict(allow_inf_nan=True)  # deep water has depth .inf
 
@@ -92,14 +92,14 @@ class Spots(Part):
     spread_between: NotNegative = Field(default=0.15, description="relative spread of a bead between cameras")
 
     def draw_brightness(self, cameras: int, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return random values of the relative brightness of each bead in each camera, (cameras, count)."""
+        """Draw random values of the relative brightness of `count` beads in each camera, (cameras, count)."""
         # gamma distribution: most beads are similar, a few bright, none negative
         own = rng.gamma(self.spread**-2, self.spread**2, count) if self.spread else np.ones(count)
         return own * np.exp(rng.normal(0.0, self.spread_between, (cameras, count)))
 
 
 class Beads(Spots):
-    """Floating beads."""
+    """Floating beads: their number, size, brightness, and irregularities such as groups and holes."""
 
     kind: Literal["beads"] = "beads"
     density: Positive = Field(default=1.1e4, description="beads per m2; 1.1e4 is 17.6 per 4 x 4 cm")
@@ -156,7 +156,7 @@ class Sheet(Spots):
 
 
 class Light(Part):
-    """Light and sensors of the cameras."""
+    """Settings of light and sensors: blur, illumination, gain, noise and bits of the images."""
 
     blur: Positive = Field(default=0.62, description="standard deviation of a point's image, px")
     background: NotNegative = Field(default=12.0, description="grey levels of 255")
@@ -233,7 +233,7 @@ class Dots(Part):
 
 
 class CalibrationScene(Part):
-    """The calibration target and the poses in which the cameras photograph it."""
+    """The calibration target and the poses (positions of it) in which the cameras photograph it."""
 
     target: Annotated[Strings | Chessboard | Dots, Field(discriminator="kind")] = Strings()
     tilted: Annotated[int, Field(ge=0)] = Field(default=6, description="number of tilted poses")
@@ -257,7 +257,8 @@ MIN_RELATIVE_AMPLITUDE = 1e-6  # waves below this fraction of the rms elevation 
 
 
 class PlaneWave(Part):
-    """A plane wave; the setting ``added`` puts such waves on top of the sea."""
+    """A plane wave of given amplitude, wavelength, direction and phase.
+    The setting ``added`` of a sea adds such waves to it."""
 
     amplitude: NotNegative = Field(description="m")
     wavelength: Positive = Field(description="m")
@@ -265,14 +266,14 @@ class PlaneWave(Part):
     phase: float = Field(default=0.0, description="phase of the wave, degrees")
 
     def components(self) -> tuple[float, float, complex]:
-        """Return kx and ky, rad/m, and the complex amplitude, m, of the wave."""
+        """Return kx and ky, rad/m, and the complex amplitude of the elevation, m, of the wave."""
         k, angle = 2 * np.pi / self.wavelength, np.radians(self.direction)
         amplitude = self.amplitude * np.exp(1j * np.radians(self.phase))
         return float(k * np.cos(angle)), float(k * np.sin(angle)), complex(amplitude)
 
 
 class _SeaSettings(Part):
-    """Settings that all seas share."""
+    """Settings that all kinds of sea have: depth, surface tension, current and added plane waves."""
 
     depth: Positive = Field(default=0.7, description="depth of the water, m; .inf for deep water")
     surface_tension: NotNegative = Field(default=GAMMA, description="surface tension over density, m3 s-2")
@@ -294,18 +295,18 @@ class StillSea(_SeaSettings):
     kind: Literal["still"]
 
     def build(self, seed: int) -> Sea:
-        """Return a sea with the added waves only; `seed` does not matter."""
+        """Return a sea that contains only the added waves; `seed` has no effect."""
         return self._sea([1.0], [0.0], [0.0], bound=0)
 
 
 class SingleWave(PlaneWave, _SeaSettings):
-    """One plane wave."""
+    """A sea with one plane wave, and perhaps the second harmonic of it."""
 
     kind: Literal["single"]
     order: Literal[1, 2] = Field(default=1, description="2 adds the second harmonic bound to the wave")
 
     def build(self, seed: int) -> Sea:
-        """Return a sea with this wave and the added ones; `seed` does not matter."""
+        """Return a sea with this wave and the added ones; `seed` has no effect."""
         kx, ky, amplitude = self.components()
         return self._sea([kx], [ky], [amplitude], bound=int(self.order == 2))
 
@@ -318,7 +319,7 @@ class Jonswap(Part):
     enhancement: Positive = 3.3
 
     def __call__(self, f: Array) -> Array:
-        """Return the spectrum at frequencies f, Hz, of any shape, to within a constant factor."""
+        """Return the spectrum, in arbitrary units, at frequencies f, Hz, of any shape."""
         width = np.where(f <= self.peak, 0.07, 0.09)
         bump = self.enhancement ** np.exp(-((f / self.peak - 1) ** 2) / (2 * width**2))
         density: Array = f**-5.0 * np.exp(-1.25 * (self.peak / f) ** 4) * bump
@@ -333,7 +334,7 @@ class PowerLaw(Part):
     exponent: Positive = 6.0
 
     def __call__(self, f: Array) -> Array:
-        """Return the spectrum at frequencies f, Hz, of any shape, to within a constant factor."""
+        """Return the spectrum, in arbitrary units, at frequencies f, Hz, of any shape."""
         return f**-self.exponent * np.exp(-self.exponent / 4 * (self.peak / f) ** 4)
 
 
@@ -362,8 +363,9 @@ class RandomSea(_SeaSettings):
         return self
 
     def build(self, seed: int) -> Sea:
-        """Return a Gaussian sea on a square lattice of wave vectors k, theta; `seed` draws its amplitudes.
-        Their mean square is proportional to S(f) (df/dk) D(theta) / k; it is scaled to `rms`."""
+        """Return a Gaussian sea of waves on a square lattice of wave vectors; `seed` draws random amplitudes.
+        Mean squared amplitudes are proportional to S(f) (df/dk) D / k and scaled to the standard deviation
+        `rms`; S is the spectrum, D the directional distribution, f the frequency and k the wavenumber."""
         dk = 2 * np.pi / self.period
         n = int(self.period / self.shortest)
         lattice = np.arange(-n, n + 1) * dk

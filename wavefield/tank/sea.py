@@ -34,7 +34,7 @@ MIN_DETUNING = 0.1  # pairs with |q g' - S^2| below this fraction of q g' are re
 
 @dataclass(frozen=True)
 class BoundWaves:
-    """Second-order waves that p pairs of free waves force; they share m different wave vectors."""
+    """Second-order waves that p pairs of free waves force; several pairs may share one of m wave vectors."""
 
     kx: Array  # (m,): Wave vectors, rad/m
     ky: Array
@@ -45,7 +45,8 @@ class BoundWaves:
     target: NDArray[np.int64]  # (p,): Index of the wave vector of each pair
 
     def at(self, time: float, current: tuple[float, float]) -> dict[str, Complex]:
-        """Return complex amplitudes (m,) of z, z_t, u, v, by name, at a time, s, on a current, m/s."""
+        """Return complex amplitudes (m,) of z (m), z_t, u and v (m/s), by these names, at a time, s.
+        The `current`, m/s, carries the waves along; its own velocity is not added to u and v."""
         turn = np.exp(-1j * self.frequency * time)
         drift = self.kx * current[0] + self.ky * current[1]
         carried = np.exp(-1j * drift * time)
@@ -66,8 +67,9 @@ class BoundWaves:
 def bound_waves(
     kx: Array, ky: Array, amplitude: Complex, sigma: Array, depth: float, surface_tension: float, number: int
 ) -> BoundWaves:
-    """Return the second-order waves that the `number` steepest of n free waves force. kx, ky, amplitude (m)
-    and sigma (rad/s, relative to the water) are (n,); surface tension is over density."""
+    """Return the second-order waves that the `number` steepest of n free waves force.
+    The wave vectors kx and ky, rad/m, `amplitude`, m, and the frequency `sigma` relative to the water, rad/s,
+    are (n,). `depth` is in m; `surface_tension` is over density, m3 s-2."""
     steep = np.argsort(-np.hypot(kx, ky) * np.abs(amplitude), kind="stable")[:number]
     kx, ky, a, s = kx[steep], ky[steep], amplitude[steep], sigma[steep]
     k = np.hypot(kx, ky)
@@ -171,19 +173,20 @@ class Sea:
 
     @property
     def axes(self) -> tuple[Array, Array]:
-        """Wavenumbers of all waves along x, (nkx,), and along y, (nky,), rad/m.
-        A wave with kx < 0 is stored as its complex conjugate at -k."""
+        """Different wavenumbers of all waves along x, (nkx,), and along y, (nky,), rad/m.
+        A wave with kx < 0 is represented by its complex conjugate at -k."""
         return self._layout.kx, self._layout.ky
 
     @property
     def shortest(self) -> float:
-        """2 pi over the largest |kx| or |ky| of all waves, m; infinite without waves."""
+        """2 pi over the largest |kx| or |ky| of all waves, m; infinite if there are no waves."""
         top = max(self._layout.kx.max(initial=0.0), np.abs(self._layout.ky).max(initial=0.0))
         return 2 * np.pi / top if top > 0 else np.inf
 
     @property
     def reach(self) -> float:
-        """Elevation hardly ever exceeded, m: 4.5 std or 1.1 times the sum of amplitudes, the smaller."""
+        """Elevation that the sea hardly ever exceeds, m.
+        This is 4.5 standard deviations or 1.1 times the sum of all amplitudes, whichever is smaller."""
         height = np.abs(self.amplitude)
         return float(min(np.sum(height) * 1.1, 4.5 * np.sqrt(0.5 * np.sum(height**2))))
 
@@ -196,7 +199,7 @@ class Sea:
         )
 
     def _coefficients(self, time: float) -> dict[str, Complex]:
-        """Return the complex amplitudes (nky, nkx) of all fields but w at a time, s, by name."""
+        """Return the complex amplitudes (nky, nkx) of all waves at a time, s, by name of each field but w."""
         turned = self.amplitude * np.exp(-1j * self.omega * time)
         velocity_over_elevation = self.sigma / (self.k * np.tanh(self.k * self.depth))
         waves = {
@@ -214,14 +217,16 @@ class Sea:
         return out
 
     def on_grid(self, x: Array, y: Array, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
-        """Return exact fields (ny, nx) by name at a time, s, on axes x (nx,) and y (ny,), metres.
-        z is in m, the slopes z_x, z_y are pure numbers, the others in m/s."""
+        """Return the exact fields `names`, (ny, nx), at a time, s, on axes x (nx,) and y (ny,), metres.
+        They are a dict by name. z is in m, z_t, u, v and w are in m/s; the slopes z_x and z_y are pure
+        numbers."""
         ex, ey = np.exp(1j * np.outer(self._layout.kx, x)), np.exp(1j * np.outer(y, self._layout.ky))
         return self._finish(self.sums(ex, ey, time, _needed(names)), names)
 
     def sums(self, ex: Complex, ey: Complex, time: float, names: Sequence[str]) -> dict[str, Array]:
-        """Return the named fields (ny, nx) but w at a time, s, as sums over all waves, without the current.
-        `ex` (nkx, nx) is exp(i kx x) and `ey` (ny, nky) exp(i ky y), times any function of the wavenumber."""
+        """Return the fields `names`, (ny, nx), at a time, s, as sums over all waves, without the current.
+        `ex` (nkx, nx) is exp(i kx x) and `ey` (ny, nky) exp(i ky y), each times any function of the
+        wavenumber. The field w cannot be summed."""
         along_x = np.concatenate([ex.real, -ex.imag])
         along_y = np.concatenate([ey.real, ey.imag], axis=1)
         coefficients = self._coefficients(time)
@@ -234,7 +239,9 @@ class Sea:
         return out
 
     def at(self, x: ArrayLike, y: ArrayLike, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
-        """Return exact fields by name at a time, s, at points x, y, m, of any shape, as `on_grid` does."""
+        """Return the exact fields `names` at a time, s, at points x, y, m, of any shape.
+        They are a dict by name. z is in m, z_t, u, v and w are in m/s; the slopes z_x and z_y are pure
+        numbers."""
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         shape, x, y = x.shape, x.ravel(), y.ravel()
         coefficients = self._coefficients(time)
@@ -253,7 +260,8 @@ class Sea:
 
 
 def _needed(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the fields that must be summed over waves to find `names`; w needs all others."""
+    """Return the fields that must be summed over waves to find the fields `names`; w needs all others.
+    Raises a ValueError for an unknown name."""
     unknown = set(names) - set(FIELDS)
     if unknown:
         raise ValueError(f"the sea has no field {sorted(unknown)[0]!r}; it has {', '.join(FIELDS)}")
@@ -262,7 +270,7 @@ def _needed(names: Sequence[str]) -> tuple[str, ...]:
 
 @compiled(fastmath=True)
 def _product(a: Array, b: Array) -> Array:
-    """Return the matrix product a @ b, computed on one thread, unlike that of BLAS."""
+    """Return the matrix product a @ b, computed on one thread, whereas BLAS may use many."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
         for k in range(a.shape[1]):
@@ -273,7 +281,7 @@ def _product(a: Array, b: Array) -> Array:
 
 
 class _WaveLayout:
-    """Arranges waves (kx, ky), (n,), in a matrix over (ky, kx >= 0): sums over waves are matrix products."""
+    """Arranges n waves (kx, ky) in a matrix over ky and kx >= 0, to sum over waves by matrix products."""
 
     def __init__(self, kx: Array, ky: Array) -> None:
         self._mirror = kx < 0  # Re(C e^{ikx}) = Re(C* e^{-ikx})
@@ -286,7 +294,7 @@ class _WaveLayout:
         self._flat = self._row * self.kx.size + self._column
 
     def place(self, values: Complex) -> Complex:
-        """Return the amplitudes (n,) of the waves as a matrix (nky, nkx); equal wave vectors are added."""
+        """Return the amplitudes (n,) of the waves as a matrix (nky, nkx); equal wave vectors are added up."""
         values = np.where(self._mirror, values.conj(), values)
         size = self.ky.size * self.kx.size
         real = np.bincount(self._flat, values.real, size)
@@ -302,7 +310,7 @@ REMEMBERED_FRAMES = 8  # states kept in memory, because images of several frames
 
 
 def _kernel(r: Array) -> Array:
-    """Return the interpolation kernel of `Basin` at a distance of r lattice steps, in the shape of r."""
+    """Return the interpolation kernel of `Basin` at distances r, in steps of the lattice, any shape."""
     s = 2.0 * r / KERNEL_WIDTH
     return np.exp(KERNEL_BETA * (np.sqrt(np.maximum(1.0 - s * s, 0.0)) - 1.0)) * (np.abs(s) < 1)
 
@@ -315,8 +323,9 @@ def _transform(phase: Array) -> Array:
 
 
 class Basin:
-    """A rectangle of a sea, with limits x and y, m, for fields at any point: a non-uniform FFT of type 2.
-    Fields are summed on a lattice and interpolated with a kernel; errors are 1e-7 of the elevation."""
+    """A rectangle of a sea, with limits x and y, m, in which fields at any point are found fast.
+    Fields are summed on a lattice and interpolated with a kernel (non-uniform FFT of type 2); errors are 1e-7
+    of the elevation."""
 
     def __init__(self, sea: Sea, x: tuple[float, float], y: tuple[float, float]) -> None:
         self.sea, self.x, self.y = sea, x, y
@@ -334,7 +343,7 @@ class Basin:
         self._ey = np.exp(1j * np.multiply.outer(gy, ky)) / _transform(ky * step)
 
     def snapshot(self, time: float, names: Sequence[str] = ("z",)) -> "Snapshot":
-        """Return the fields `names` (z, z_x, z_y, z_t, u, v) at a time, s, as a function of x and y."""
+        """Return the fields `names` (of z, z_x, z_y, z_t, u, v) at a time, s, as a function of x and y."""
         return self._recent(round(time, 12), tuple(names))
 
     def _snapshot(self, time: float, names: tuple[str, ...]) -> "Snapshot":
@@ -345,13 +354,14 @@ class Basin:
 
 
 class Snapshot:
-    """Fields of a sea at one instant as a function of x and y; `Basin.snapshot` makes it."""
+    """Some fields of a sea at one instant, as a function of x and y; `Basin.snapshot` makes it."""
 
     def __init__(self, values: Array, offset: Array, origin: tuple[float, float], step: float) -> None:
         self._values, self._offset, self._origin, self._step = values, offset, origin, step
 
     def __call__(self, x: Array, y: Array) -> Array:
-        """Return the fields at points x, y, m, of any shape, as (fields, ...); NaN outside the basin."""
+        """Return the fields at points x, y, m, of any shape, as (fields, ...); NaN outside the basin.
+        The fields are in the order in which `Basin.snapshot` was given their names."""
         out = np.empty((self._values.shape[0], x.size))
         _gather(x.ravel(), y.ravel(), self._values, *self._origin, self._step, out)
         return (out + self._offset[:, None]).reshape(-1, *x.shape)

@@ -13,8 +13,8 @@ Image = NDArray[np.float32]
 
 @compiled(fastmath=True)
 def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
-    """Add n Gaussian spots at columns X and rows Y to an image, each integrated exactly over every pixel.
-    `flux` (n,) are total intensities, `sigma` is the standard deviation, px."""
+    """Add n Gaussian spots at columns X and rows Y to an image in place, each integrated over every pixel.
+    `flux` (n,) holds the total intensities of the spots; `sigma` is their standard deviation, px."""
     height, width = image.shape
     reach = math.ceil(4.5 * sigma) + 1
     size = 2 * reach + 1
@@ -38,7 +38,9 @@ def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
 
 
 def illumination(size: tuple[int, int], unevenness: float, seed: int) -> Image:
-    """Return the relative illumination (row, column): a gradient in a random direction, dark edges."""
+    """Return the relative illumination (row, column) of an image.
+    It is a gradient in a random direction, with dark edges. `size` is (width, height), px; `unevenness` is
+    the relative difference of light across the image."""
     angle = np.random.default_rng([seed, 3]).uniform(0, 2 * np.pi)
     x = np.linspace(-1, 1, size[0], dtype=np.float32)
     y = np.linspace(-1, 1, size[1], dtype=np.float32)[:, None]
@@ -49,8 +51,9 @@ def illumination(size: tuple[int, int], unevenness: float, seed: int) -> Image:
 def expose(
     light: Image, read: float, shot: float, bits: int, rng: np.random.Generator
 ) -> NDArray[np.unsignedinteger]:
-    """Return the pixels (row, column) that a camera stores, with noise, as integers of 8 or 16 `bits`.
-    `read` is the rms of the read noise, `shot` the variance per level, in grey levels of 255."""
+    """Return the image (row, column) that a camera stores, with noise, as integers of 8 or 16 `bits`.
+    `light`, and `read`, the rms of the read noise, are in grey levels of 255; `shot` is the variance per
+    level."""
     value = light.astype(np.float64)
     if read or shot:
         noise = rng.standard_normal(light.shape, np.float32)

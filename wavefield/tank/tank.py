@@ -1,4 +1,4 @@
-"""A simulated tank: the sea, the beads and the cameras of a scene, and the images that the cameras take."""
+"""A simulated tank: the sea, the beads and the cameras of a scene, and the images that cameras take of it."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -26,7 +26,7 @@ GreyImage = NDArray[np.unsignedinteger]
 
 MIN_REACH = 0.01  # beads cover what the cameras see up to this height at least, m
 MARGIN = 0.05  # width of the strip of beads around what the cameras see, m
-SHEET_MARGIN = 0.01  # the same around the view of a light sheet, m
+SHEET_MARGIN = 0.01  # width of the strip of particles around the view of a light sheet, m
 DRIFT_STEPS = 300  # lattice steps along x on which painted water is followed back in time
 
 _NO_FAULT = Fault()
@@ -72,7 +72,7 @@ class Tank:
         return Population(self.scene, self.basin, self.x, self.y, len(self.rig))
 
     def truth(self, step: int) -> Truth:
-        """Return the exact fields of a step: from frame `step`, counted from 0, to the next."""
+        """Return the exact fields of a step, which goes from frame `step`, counted from 0, to the next."""
         grid, time = self.scene.grid, self.time(step + 0.5)
         if isinstance(self.scene.surface, Sheet):
             assert isinstance(self.population, Particles)
@@ -81,27 +81,29 @@ class Tank:
         return truth(self.basin, grid, time, 1.0 / self.scene.frame_rate)
 
     def spot_width(self, camera: Camera) -> float:
-        """Standard deviation of a bead's image, px: the blur of the lens, and half the bead's radius."""
+        """Return the standard deviation of a bead's image, px, from the lens' blur and the bead's size."""
         surface = self.scene.surface
         size = 0.0 if isinstance(surface, (Texture, SeaSurface)) else surface.diameter
         pixel = float(np.sqrt(np.prod(rigs.pixel_footprint(camera))))
         return float(np.hypot(self.scene.light.blur, size / 4 / pixel))
 
     def render(self, frame: int, cameras: Iterable[str] | None = None) -> dict[str, GreyImage]:
-        """Return the images (row, column) of a frame, counted from 0, by camera; by default of all cameras.
-        Ask for frames in rising order, because beads are followed from frame to frame."""
+        """Return the images (row, column) of a frame, counted from 0, by camera; None means all cameras.
+        Requests in rising order of frames are fast, because beads are followed from frame to frame."""
         names = self.rig if cameras is None else cameras
         return {name: self.draw(name, frame, self.beads(name, frame)) for name in names}
 
     def beads(self, name: str, frame: int) -> BeadField | None:
-        """Return the beads that a camera sees in a frame, or None; a late camera sees an earlier frame."""
+        """Return the beads that the camera `name` shows in a frame; a late camera shows an earlier frame.
+        Returns None if the surface is painted or the open sea."""
         if isinstance(self.scene.surface, (Texture, SeaSurface)):
             return None
         return self.population.frame(self._frame_taken(name, frame))
 
     def draw(self, name: str, frame: int, beads: BeadField | None) -> GreyImage:
-        """Return the image (row, column) of the camera `name` at a frame, with the faults of the camera.
-        `beads` is the result of the method `beads`. Several threads may call `draw` at once."""
+        """Return the image (row, column) of the camera `name` for a frame, with the faults of the camera.
+        `beads` is what the method `beads` returns for the same camera and frame. Several threads may call
+        `draw` at once."""
         fault = self.scene.faults.get(name, _NO_FAULT)
         frame, source = self._frame_taken(name, frame), fault.shows or name
         if isinstance(self.scene.surface, SeaSurface):
@@ -117,7 +119,8 @@ class Tank:
         return max(frame - self.scene.faults.get(name, _NO_FAULT).late, 0)
 
     def _beads(self, beads: BeadField, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
-        """Return the light of beads on the camera `name`, (row, column), in grey levels of 255."""
+        """Return the image of the beads in the camera `name`, (row, column), in grey levels of 255.
+        It is without noise. `fault` holds shift, turn, delay and defocus of the camera."""
         assert not isinstance(self.scene.surface, (Texture, SeaSurface))
         camera = _shifted(self.rig[name], fault.shift)
         if any(fault.turned) and frame >= fault.since:
@@ -141,7 +144,9 @@ class Tank:
         return replace(beads, x=x, y=y, z=z)
 
     def _rolling(self, camera: Camera, beads: BeadField, frame: int, row_time: float) -> tuple[Array, Array]:
-        """Return columns and rows (n,), px, of beads if rows are read `row_time`, s, one after the other."""
+        """Return columns and rows (n,), px, of beads in an image whose rows are exposed one after the other.
+        `row_time`, s, is the time from one row to the next; the middle row is exposed at the time of
+        `frame`."""
         middle = (camera.size[1] - 1) / 2
         time, half = self.frame_time(frame), row_time * middle
         moments = (self._delayed(beads, time, -half), beads, self._delayed(beads, time, half))
@@ -160,7 +165,8 @@ class Tank:
         return texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed)
 
     def _painted(self, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
-        """Return the light of painted water on the camera `name`, (row, column), in grey levels of 255."""
+        """Return the image of the textured water surface in the camera `name`, (row, column).
+        It is in grey levels of 255, without noise. `fault` holds shift and defocus of the camera."""
         settings = self.scene.surface
         assert isinstance(settings, Texture)
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
@@ -176,7 +182,7 @@ class Tank:
 
     @cached_property
     def _sea_paints(self) -> tuple[tuple[texture.Paint, ...], ...]:
-        """Two textures of ripples and two of foam; the two of a kind have grains of different sizes."""
+        """Two textures of ripples, then two of foam; the two of a kind have grains of different sizes."""
         settings = self.scene.surface
         assert isinstance(settings, SeaSurface)
 
@@ -187,7 +193,8 @@ class Tank:
         return tuple((paint(kind, 0), paint(kind, 1)) for kind in range(2))
 
     def _open_sea(self, frame: int, name: str, settings: SeaSurface) -> NDArray[np.float32]:
-        """Return the light of sea and sky on the camera `name`, (row, column), in grey levels of 255."""
+        """Return the image of sea and sky in the camera `name`, (row, column).
+        It is in grey levels of 255, without noise."""
         camera = self.rig[name]
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
         seen = texture.visible_water(camera, snapshot, self.sea.reach)
@@ -201,7 +208,8 @@ class Tank:
         return np.asarray(gaussian_filter(image, self.scene.light.blur, mode="nearest"), np.float32)
 
     def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
-        """Return two splines of (y, x): how far water moved from `frame` back to frame 0, in x and y, m."""
+        """Return the displacement, m, from where water is at `frame` back to where it was at frame 0.
+        The result is a spline for x and one for y; both are functions of (y, x) at `frame`, m."""
         with self._drift_lock:  # other threads may be drawing other frames
             return self._drifts[frame]
 
@@ -222,7 +230,7 @@ class Tank:
 
     @cached_property
     def target_poses(self) -> dict[str, targets.Pose]:
-        """Poses of the target by image: ``tilt_0``, ``tilt_1``, ..., ``flat``; none at the open sea."""
+        """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``; empty at open sea."""
         settings, grid = self.scene.calibration, self.scene.grid
         if isinstance(self.scene.surface, SeaSurface):
             return {}  # there is no target at sea
@@ -235,7 +243,7 @@ class Tank:
         return {f"tilt_{i}": pose for i, pose in enumerate(tilted)} | {"flat": flat}
 
     def target_image(self, name: str, camera: str) -> GreyImage:
-        """Return the image (row, column) by `camera` of the target in the pose `target_poses[name]`."""
+        """Return the image (row, column) that `camera` takes of the target in the pose called `name`."""
         target, pose = self.scene.calibration.target, self.target_poses[name]
         light = targets.draw(self.rig[camera], target, pose, self.scene.light.blur)
         return self._expose(light, camera, -1 - list(self.target_poses).index(name))
@@ -263,6 +271,6 @@ def _shifted(camera: Camera, shift: tuple[float, float]) -> Camera:
 
 
 def _turned(camera: Camera, degrees: tuple[float, float, float]) -> Camera:
-    """Return a camera turned about its centre by a rotation vector in the axes of the camera, degrees."""
+    """Return a camera turned about its centre by a rotation vector, degrees, in the axes of the camera."""
     turn = cv2.Rodrigues(np.radians(degrees))[0]
     return replace(camera, rotation=turn @ camera.R, translation=turn @ camera.T)

@@ -19,14 +19,15 @@ SHARES_OF_OFFSET = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)  # parts of a board's offset, 
 
 @dataclass(frozen=True)
 class Pose:
-    """Position and orientation of a target: a point p of the target is at ``rotation @ p + origin``."""
+    """Position and orientation of a target: the point p of the target is at ``rotation @ p + origin``."""
 
     rotation: Array  # (3, 3): from the axes of the target to the physical axes
     origin: Array  # (3,): Position of the target's origin, metres
 
 
 def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, float], seed: int) -> list[Pose]:
-    """Return random poses of a target in the field x, y, m, each tilted another way, by up to `tilt`."""
+    """Return `number` random poses of a target in the field with limits x and y, m.
+    Each is tilted in another direction, by at most `tilt` degrees."""
     rng = np.random.default_rng([seed, 8])
     size = min(x[1] - x[0], y[1] - y[0])
     out = []
@@ -43,7 +44,8 @@ def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, floa
 
 
 def move_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, cameras: Iterable[Camera]) -> Pose:
-    """Return the pose of a board, moved towards `middle` (3,), m, until all cameras see it, if they can."""
+    """Return the pose of a board, moved towards `middle` (3,), m, until all cameras see the whole board.
+    If they never do, the pose is returned unchanged."""
     # the corners of a chessboard can only be numbered if all of it is visible
     around = 1.5 if isinstance(board, Chessboard) else 0.5  # the outer squares and half a white one
     half = ((np.array(board.shape) - 1) / 2 + around) * board.mesh
@@ -58,7 +60,7 @@ def move_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, cameras:
 
 BAND_ROWS = 128  # image rows drawn at a time; more would need up to 0.4 GB more
 FRAME_WIDTH = 0.04  # width of the frame that holds the strings, m
-FRAME_SHADE = 0.35  # its brightness relative to the strings
+FRAME_SHADE = 0.35  # brightness of this frame relative to that of the strings
 
 # Gauss-Legendre quadrature over a pixel, (9, 3): column, row, weight
 _POINTS, _WEIGHTS = (values / 2 for values in np.polynomial.legendre.leggauss(3))
@@ -68,7 +70,8 @@ _QUADRATURE = np.stack(
 
 
 def draw(camera: Camera, target: Strings | Chessboard | Dots, pose: Pose, blur: float) -> NDArray[np.float32]:
-    """Return the light of a target (row, column), in grey levels of 255, without background or noise."""
+    """Return the image of a target (row, column), in grey levels of 255, without background or noise.
+    `blur` is the standard deviation of a point's image, px."""
     # seen from a camera in the target's own axes, the target is the plane z = 0
     own = replace(camera, rotation=camera.R @ pose.rotation, translation=camera.R @ pose.origin + camera.T)
     width, height = camera.size
@@ -95,7 +98,8 @@ def draw(camera: Camera, target: Strings | Chessboard | Dots, pose: Pose, blur: 
 
 @compiled()
 def _step(d: float, blur: float) -> float:
-    """Return the brightness, 0 to 1, of a point d px inside (negative: outside) a straight blurred edge."""
+    """Return the brightness, 0 to 1, at the distance d, px, inside a straight blurred edge.
+    d is negative outside; `blur` is the standard deviation of the blur, px."""
     if d > 4.5 * blur:
         return 1.0
     if d < -4.5 * blur:
@@ -108,7 +112,7 @@ def _disc(
     ds: float, dt: float, radius: float, sx: float, sy: float, tx: float, ty: float, blur: float
 ) -> float:
     """Return the brightness, 0 to 1, of a blurred disc at (ds, dt) from its centre, in the units of `radius`.
-    (sx, sy) and (tx, ty) are derivatives of s and t by column and row; `blur` is in px."""
+    sx and sy are the derivatives of ds by column and row, tx and ty those of dt; `blur` is in px."""
     r = math.hypot(ds, dt)
     if r < 1e-12:
         return 1.0
@@ -119,7 +123,8 @@ def _disc(
 
 @compiled()
 def _slopes(a: Array, i: int, j: int) -> tuple[float, float]:
-    """Return the derivatives by column and row at (i, j) of an array with a border of one pixel."""
+    """Return the derivatives by column and by row of an array at the pixel (i, j) of an image.
+    The array has a border of one pixel around the image."""
     return 0.5 * (a[i + 1, j + 2] - a[i + 1, j]), 0.5 * (a[i + 2, j + 1] - a[i, j + 1])
 
 

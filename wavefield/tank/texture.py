@@ -1,7 +1,7 @@
 """Images of water without beads: a surface painted with noise, or the open sea up to the horizon.
 
-Each pixel shows what its sight line meets first on the water: painted texture, or the reflection of the sky
-by the sloping water, and foam.
+Each pixel shows what its sight line meets first: painted texture, or the reflection of the sky by the sloping
+water, and foam.
 """
 
 from collections.abc import Sequence
@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 
 
 class Paint:
-    """Band-limited white noise of unit variance on a rectangle x, y, m: a random cubic B-spline.
-    Its grains have the size `mesh`, m; it is mirrored beyond the rectangle."""
+    """Random texture on a rectangle x, y, m: band-limited white noise of unit variance (a cubic B-spline).
+    `mesh`, m, is the size of its grains. The texture is mirrored beyond the rectangle."""
 
     def __init__(self, x: tuple[float, float], y: tuple[float, float], mesh: float, seed: int) -> None:
         count = [int(np.ceil((high - low) / mesh)) + 5 for low, high in (x, y)]
@@ -33,7 +33,7 @@ class Paint:
         self._x0, self._y0, self._mesh = x[0] - 2 * mesh, y[0] - 2 * mesh, mesh
 
     def __call__(self, x: Array, y: Array) -> NDArray[np.float32]:
-        """Return the noise at points x, y, metres, in the shape of x."""
+        """Return the texture at points x, y, metres, in the shape of x."""
         places = np.nan_to_num([(y - self._y0) / self._mesh, (x - self._x0) / self._mesh])
         out = np.empty(np.shape(x), np.float32)
         map_coordinates(self._coefficients, places, out, order=3, mode="grid-mirror", prefilter=False)
@@ -69,7 +69,8 @@ def horizon_dip(height: float) -> float:
 
 
 def visible_water(camera: Camera, snapshot: Snapshot, reach: float) -> VisibleWater:
-    """Return the water that sight lines meet first; `snapshot` holds z, z_x, z_y, `reach` is max z, m."""
+    """Return the water that the sight line of each pixel meets first.
+    `snapshot` gives z, z_x and z_y as a function of x and y; `reach` is the highest elevation, m."""
     width, height = camera.size
     x, y = camera.unproject(np.arange(float(width)), np.arange(float(height))[:, None])
     rows, columns = np.arange(0, height, COARSE), np.arange(0, width, COARSE)
@@ -86,7 +87,8 @@ def visible_water(camera: Camera, snapshot: Snapshot, reach: float) -> VisibleWa
 
 
 def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, y: Array) -> Array:
-    """Return the elevation z, m, where sight lines through (x, y, 0) first meet the water; NaN if nowhere."""
+    """Return the elevation, m, where sight lines through (x, y, 0) first meet the water; NaN if nowhere.
+    `snapshot` gives z first; `reach` is the highest elevation, m."""
     dx, dy = camera.sight_line(x, y)
     out = np.full(x.shape, np.nan)
     above = np.full(x.shape, np.nan)
@@ -102,8 +104,9 @@ def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, 
 
 
 def sea_image(camera: Camera, seen: VisibleWater, settings: SeaSurface, foam: Image, ripples: Image) -> Image:
-    """Return the light of sky and water (row, column), in grey levels of 255, before blur and noise.
-    Facets with the slopes of `seen` plus `ripples` mirror the sky (Fresnel); `foam` covers some."""
+    """Return the image of sky and water (row, column), in grey levels of 255, before blur and noise.
+    Water with the slopes of `seen` plus those of `ripples` mirrors the sky (Fresnel). Where the texture
+    `foam` exceeds a threshold, foam covers it."""
     width, height = camera.size
     a, b = camera.tangents(np.arange(float(width)), np.arange(float(height))[:, None])
     ray = np.stack([a, b, np.ones_like(a)], -1) @ camera.R  # away from the camera
@@ -128,7 +131,8 @@ def sea_image(camera: Camera, seen: VisibleWater, settings: SeaSurface, foam: Im
 
 
 def _radiance(upward: Array) -> Array:
-    """Return the sky's radiance over that at the horizon; `upward` is the sine of the angle above it."""
+    """Return the radiance of the sky relative to that at the horizon.
+    `upward` is the sine of the angle above the horizon."""
     out: Array = 0.45 + 0.55 * (1.0 - np.clip(upward, 0.0, 1.0)) ** 3
     return out
 
@@ -136,8 +140,9 @@ def _radiance(upward: Array) -> Array:
 def texture_at(
     seen: VisibleWater, drift: Sequence[RectBivariateSpline], paints: Sequence[Paint], far: float
 ) -> Image:
-    """Return the sum of textures moved with the water (row, column), fading towards `far`, m.
-    `drift` is where the water was at the first frame minus where it is, functions of (y, x), m."""
+    """Return the sum of textures that move with the water, (row, column); it fades towards a distance `far`.
+    `drift` holds where the water was at the first frame minus where it is, m, as functions of (y, x): one for
+    x, one for y."""
     width, height = seen.x.shape[1], seen.x.shape[0]
     fine = []
     for place, moved in zip((seen.x, seen.y), drift, strict=True):

@@ -59,7 +59,8 @@ def truth(basin: Basin, grid: Grid, time: float, dt: float) -> Truth:
 
 
 def displacement(basin: Basin, x: Array, y: Array, time: float, dt: float) -> tuple[Array, Array, Array]:
-    """Return displacements in x, y, z, m, in a step `dt`, s, of water on paths centred on x, y, m."""
+    """Return the displacements along x, y and z, m, of the water in a step `dt` around `time`, both in s.
+    The mean of the start and the end of each path is at the point x, y, m."""
 
     def carried(px: Array, py: Array, after: float) -> Array:
         return np.stack(carry(basin, px, py, time, time + after))

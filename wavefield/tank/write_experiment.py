@@ -97,7 +97,7 @@ def simulate(
 
 
 def _drawings(tank: Tank, directory: Path) -> Iterator[tuple[Path, Drawing]]:
-    """Yield for each image its path below `directory`, and a function without arguments that draws it."""
+    """Yield the path of each image below `directory`, and a function without arguments that draws it."""
     for pose in tank.target_poses:
         for camera in tank.rig:
             yield directory / "calib" / camera / f"{pose}.tif", partial(tank.target_image, pose, camera)
@@ -113,7 +113,8 @@ def _draw(
     most: int,
     report_progress: Callable[[], None],
 ) -> None:
-    """Draw and write images on the threads of `pool`, at most `most` in work; report each one."""
+    """Draw and write images on the threads of `pool`, and report each one that is finished.
+    At most `most` images wait or are being drawn at once."""
     waiting: deque[Future[None]] = deque()
     for path, drawing in drawings:
         if len(waiting) == most:
@@ -163,7 +164,8 @@ def _write_truth(
 
 
 def _write_notes(scene: Scene, tank: Tank, directory: Path) -> None:
-    """Write experiment.yaml, scene.yaml, truth/rig.yaml, and probes.csv and lenses.yaml where they apply."""
+    """Write experiment.yaml, scene.yaml and truth/rig.yaml into `directory`.
+    If there are wave probes, write probes.csv too, and at the open sea lenses.yaml."""
     names = list(tank.rig)
     experiment = {
         "name": scene.name,
@@ -231,7 +233,8 @@ def _describe_target(scene: Scene) -> dict[str, object]:
 
 
 def _pairing(tank: Tank) -> dict[str, object]:
-    """Return `surface` (pairs with the most upright camera) and `velocity` (the others) of the file."""
+    """Return the blocks `surface` (pairs with the most upright camera) and `velocity` (the other cameras).
+    They are empty for a single camera."""
     names = list(tank.rig)
     if len(names) < 2:
         return {}
