@@ -48,7 +48,7 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None)
 
 
 def _slice(words: str | None) -> slice | None:
-    """Return the slice of steps that text such as 0:500:5 describes; None without text."""
+    """Return the slice of steps that `words`, such as "0:500:5", describes; None for None."""
     if words is None:
         return None
     match = re.fullmatch(r"(\d*):(\d*)(?::(0*[1-9]\d*)?)?", words)
@@ -82,7 +82,7 @@ _PROGRAMS = ("wavefield", "uvmat", "opencv", "matlab")
 
 
 class _Files(click.Group):
-    """A group of commands that runs `convert` if the first word is no command of the group."""
+    """A group of commands that runs its command `convert` if the first argument is not a command of it."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if args and args[0] not in (*self.commands, "-h", "--help"):

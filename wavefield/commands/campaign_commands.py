@@ -1,4 +1,4 @@
-"""Commands that accept a catalog work on its runs, one after the other."""
+"""Let commands accept a catalog (a list of experiments, its runs) and work on the runs one by one."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ class CommandSource:
     parameters: dict[str, str]  # values that the user set for parameters of the catalog, by name
 
     def is_catalog(self) -> bool:
-        """Return whether the path is a catalog; raise UsageError if not although the user named runs."""
+        """Return whether the path is a catalog; UsageError if not, although runs or parameters are given."""
         from wavefield.pipeline import is_catalog
 
         if self.path.is_file() and is_catalog(self.path):
@@ -34,7 +34,7 @@ class CommandSource:
 
     def cubes(self) -> list[tuple[str, Path]]:
         """Return the name of each chosen run of a catalog, and the path of its cube, which need not exist.
-        If a run has several recipes, the last one counts, unless the user's parameters name another."""
+        A run has a cube for each set of inputs (recipe): the latest, or that of `parameters["recipe"]`."""
         from wavefield.pipeline.catalog import cube_of, runs_of
 
         return [
@@ -43,7 +43,8 @@ class CommandSource:
         ]
 
     def for_each_cube(self, work: Callable[[Path], int]) -> int:
-        """Call `work` with the cube, or with the cube of each run of a catalog; return the exit status."""
+        """Call `work` with the cube, or with the cube of each chosen run of a catalog.
+        Return the exit status of `work`, the worst one for a catalog."""
 
         def checked(run: str, cube: Path) -> int:
             if not cube.is_dir():
@@ -54,7 +55,7 @@ class CommandSource:
 
 
 def named(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """Return the parameters of a catalog as a mapping, from texts such as ``location=/disk2``."""
+    """Return parameters of a catalog, by name, from texts such as ``location=/disk2`` (callback of click)."""
     for value in values:
         if "=" not in value:
             raise click.BadParameter(f"{value!r}: write name=value")
@@ -62,7 +63,8 @@ def named(context: click.Context, parameter: click.Parameter, values: tuple[str,
 
 
 def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that adds the argument `source`, shown as `metavar` in the help text."""
+    """Return a decorator that adds a path (`metavar` in the help text), names of runs, and --parameter.
+    The command receives all three as its argument `source`, a CommandSource."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(command)
@@ -85,8 +87,8 @@ def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., 
 
 
 def each(runs: Sequence[tuple[str, T]], work: Callable[[str, T], int], quiet: bool = False) -> int:
-    """Call `work` with the name and item of every run, and return the worst exit status.
-    A WavefieldError in one run counts as 1 and does not stop the others."""
+    """Call `work` with each name and item in `runs`; return the worst of the exit statuses that it returns.
+    A WavefieldError counts as 1 and does not stop the others. Names are printed unless `quiet`."""
     statuses = []
     for number, (run, item) in enumerate(runs, 1):
         if not quiet:

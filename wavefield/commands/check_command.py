@@ -95,7 +95,8 @@ def check(
 
 
 def _next(found: Check, source: Path, rig: Path | None) -> None:
-    """Print the next command: `calibrate`, `check` after a correction, a trial of 50 frames, or the run."""
+    """Print the command that follows: `calibrate`, `check` after a correction, or `run`.
+    Before a run of more than 10 minutes a trial with 50 frames is proposed."""
     if found.problems:
         if not found.rig and any("wavefield calibrate" in problem for problem in found.problems):
             print_next("calibrate", source)
@@ -116,7 +117,7 @@ def _next(found: Check, source: Path, rig: Path | None) -> None:
 
 def _pairs_table(prepared: PreparedRun) -> str:
     """Return a table of the differences between pairs of cameras in a step near the middle of the record.
-    Below the table are the noise, the shortest waves that are resolved, and the size of the beads."""
+    Below it are standard uncertainties, shortest resolved wavelengths, and the width of the beads' images."""
     from wavefield.measurement.diagnostics import diagnose_around
     from wavefield.rig.field import pixel_size
 

@@ -45,7 +45,7 @@ To complete commands with the Tab key, add this line to ~/.bashrc
 
 
 class _GroupInOrder(click.Group):
-    """A group that lists its commands in the order in which they are used."""
+    """The group of all commands; its help lists them in the order in which they are used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
@@ -117,7 +117,7 @@ def _one_line_warning(message, category, filename, lineno, file=None, line=None)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command with these arguments, by default those of the process; return the exit status."""
+    """Run the command line `arguments`, by default that of this process; return the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     try:

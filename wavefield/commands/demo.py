@@ -15,7 +15,7 @@ PAPER = {"z": ("z", "0.2-0.7", "0.13-0.4")} | {n: (f"{n} dt", "0.3-0.5", "0.3") 
 def run_demo(
     directory: Path, command: Callable[[list[str]], int], scene: str = "demo", *, quiet: bool = False
 ) -> None:
-    """Simulate, calibrate, check, run, analyse and report into a folder, then print the errors.
+    """Simulate `scene`, calibrate, check, run, analyse and report into a folder; then print the errors.
     `command` runs one command line, given as words without `wavefield`, and returns its exit status."""
     experiment, cube = directory / "experiment.yaml", directory / "cube.zarr"
     for words in (
@@ -39,7 +39,8 @@ def run_demo(
 
 
 def comparison(store: Path, directory: Path) -> str:
-    """Return a table of the errors of a cube of the experiment in a folder, next to the paper's."""
+    """Return a table of the rms errors of a cube, next to those in Aubourg et al. (2019), as text.
+    `directory` is the folder of the simulated experiment, which holds the exact fields."""
     import numpy as np
     from scipy.ndimage import binary_erosion
 

@@ -17,7 +17,7 @@ _PORT = click.option(
 
 
 def serve(server: "PageServer") -> None:
-    """Start a server of pages, print its address, and serve until the user presses Ctrl-C."""
+    """Start the web server of a page, print the address, and serve until the user presses Ctrl-C."""
     server.start()
     click.echo(f"Open {server.url} in a browser; Ctrl-C stops.")
     if os.environ.get("SSH_CONNECTION"):

@@ -35,7 +35,7 @@ class Progress:
         self.done, self.total = 0, 0
 
     def stage_of(self, stage: str, unit: str = "") -> Callable[[int, int], None]:
-        """Return a function `report(done, total)` for a later stage; its first call begins this stage."""
+        """Return a function `report(done, total)` for a later stage, which begins at the first call of it."""
 
         def report(done: int, total: int) -> None:
             if self.stage != stage:
@@ -51,7 +51,7 @@ class Progress:
         return self
 
     def __call__(self, done: int, total: int) -> None:
-        """Print how many parts are done, five times a second at most; print nothing if `total` is 0."""
+        """Print how many of `total` parts are done, unless the last line is too recent or `total` is 0."""
         if not total:
             return
         now = time.monotonic()
@@ -76,7 +76,8 @@ class Progress:
         return f"{self.done} of {self.total}{' ' + self.unit if self.unit else ''} ({share} %)"
 
     def _left(self, now: float) -> str:
-        """Return the estimated time left as words; the first part, with compilation, does not count."""
+        """Return the estimated time left as text such as ", 5 min left"; empty if it is not known yet.
+        The first part does not count, because it includes compilation."""
         if self.first is None or self.paced is None or not self.paced[1] < self.done < self.total:
             return ""
         spent, first = now - self.paced[0], self.paced[0] - self.first[0]
@@ -113,7 +114,8 @@ def command_line(*words: object) -> str:
 
 
 def print_next(*words: object, first: str = "") -> None:
-    """Print the command that usually follows, after what the user should do `first`; nothing if quiet."""
+    """Print the command that usually follows; nothing with --quiet. `words` are those after `wavefield`.
+    `first` is what the user should do before it, such as "correct what is not ready"."""
     context = click.get_current_context(silent=True)
     if not (context and context.meta.get("wavefield.quiet")):
         shown = (short_path(word) if isinstance(word, Path) else word for word in words)

@@ -168,7 +168,7 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
 
 
 def _save(rig: "Rig", output: Path, experiment: Path, found: str) -> None:
-    """Print the sentence `found`, write the rig to `output`, and tell how to use it and what follows."""
+    """Print the text `found`, write the rig to the file `output`, and print the command that follows."""
     click.echo(found)
     rig.save(output, source_of_experiment(experiment, output))
     click.echo(f"Wrote {output}; use it with `rig: {output.name}` or --rig.")
@@ -176,7 +176,8 @@ def _save(rig: "Rig", output: Path, experiment: Path, found: str) -> None:
 
 
 def _check_output(output: Path, experiment: Path, rig: Path | None) -> None:
-    """Raise StoreError, before the work, if `output` is an input file or not a rig of this experiment."""
+    """Raise StoreError, before the work, if the rig cannot be written to `output`.
+    A file there must be an earlier rig of this experiment, and not one of the rig files to be read."""
     from wavefield.atomic_write import Product, check_writable
     from wavefield.series import Experiment
 

@@ -1,4 +1,4 @@
-"""Arguments and options that commands share; an experiment may be given as its file, folder or cube."""
+"""Arguments and options that several commands have; an experiment can be given as a file, folder or cube."""
 
 import os
 from collections.abc import Callable
@@ -24,8 +24,8 @@ def is_store(path: Path) -> bool:
 
 
 def source_of_experiment(experiment: Path, output: Path) -> str:
-    """Return a hash of the name of an experiment and of its path relative to the file `output`.
-    The file stores the hash, so that a later command replaces it only for the same experiment."""
+    """Return a hash of the name of an experiment and of the path of its file relative to `output`.
+    `output` stores the hash, so that a later command replaces `output` only for the same experiment."""
     from wavefield.atomic_write import identity_of
     from wavefield.series import Experiment
 
@@ -65,7 +65,7 @@ STORE = click.argument("store", metavar=CUBE, type=PATH, callback=lambda _, __, 
 
 
 def frames_option(default: int, words: str, least: int = 1) -> Callable[[Command], Command]:
-    """Return the click option `--frames`, a number of frames with the help text `words`."""
+    """Return the click option `--frames`, a number of at least `least`, with the help text `words`."""
     count = click.IntRange(min=least)
     return click.option("--frames", default=default, show_default=True, type=count, help=words)
 
@@ -110,7 +110,7 @@ def _experiments(folder: Path) -> list[Path]:
 
 
 def _names_cameras(path: Path) -> bool:
-    """Return whether a YAML file is an experiment file, or a file that names an experiment file."""
+    """Return whether a YAML file is an experiment file, or names one with the key "experiment"."""
     from wavefield.config_files import read_yaml
 
     try:

@@ -54,8 +54,8 @@ def analyze(
 
 
 def _analyze(store: Path, output: Path | None, segment: int | None, workflow: Path | None) -> int:
-    """Analyse a cube, here or on the workers of a workflow file, and return the exit status.
-    It is 3 if steps of the cube are not measured, else 0."""
+    """Analyse a cube, in this process or on the workers of a workflow file.
+    Return the exit status: 3 if steps of the cube are not measured, else 0."""
     from wavefield.pipeline import analyze_on_workers, open_run
     from wavefield.pipeline.analysis import analyze as analyze_cube
     from wavefield.store.ledger import unfinished_note

@@ -50,7 +50,7 @@ _SCHEDULER_TIMEOUT = "20s"  # to connect to a scheduler that is running already
 
 
 def count_workers(workflow: Workflow) -> int:
-    """Return the greatest number of workers that a workflow asks for; for ``auto``, the number of cores."""
+    """Return the greatest number of workers of a workflow: for ``auto`` the number of cores, for "none" 1."""
     if workflow.cluster == "none":
         return 1
     if workflow.workers == "auto":
@@ -59,7 +59,7 @@ def count_workers(workflow: Workflow) -> int:
 
 
 def threads_here(workflow: Workflow) -> int:
-    """Return how many threads the run's own process may use while no workers run; at most 4."""
+    """Return how many threads this process, which starts the run, may use while no workers run; at most 4."""
     return min(count_workers(workflow), _cores(), _MOST_THREADS)
 
 
@@ -73,9 +73,9 @@ def open_cluster(
     workflow: Workflow, logs: Path | None = None, imports: Sequence[str] = ()
 ) -> Iterator[MapUnordered]:
     """Context manager: start the workers of a workflow, and end them at the end of the block.
-    It yields a function of (work, items). This function yields each item with its result, or with the
-    exception that the work raised, in the order of completion. `logs` is the folder for the output of Slurm
-    jobs. `imports` are modules that workers on this machine import at their start."""
+    It yields a map function, called as `map(work, items)`. That yields each item with its result, or with the
+    exception that `work(item)` raised, in the order of completion. `logs` is the folder for the output of
+    Slurm jobs; workers on this machine first import the modules `imports`."""
     if workflow.cluster == "none" or (workflow.cluster == "local" and count_workers(workflow) == 1):
         yield _map_here
         return
@@ -99,8 +99,8 @@ def open_cluster(
 def _connect(
     workflow: Workflow, logs: Path, imports: Sequence[str], stack: ExitStack
 ) -> tuple["Client", Watch]:
-    """Return a client of the workflow's scheduler, and a function that checks its workers.
-    Both, and the workers, are closed with `stack`."""
+    """Return a Dask client of the workflow's scheduler, and a function that checks the workers in a run.
+    Client and workers end when `stack` is closed; the scheduler of `cluster: address` goes on."""
     from distributed import Client
 
     if workflow.cluster == "address":
@@ -125,7 +125,7 @@ def _connect(
 
 
 def _local_cluster(workflow: Workflow, imports: Sequence[str]) -> Any:
-    """Return a Dask cluster on this machine, still without workers, which will first import `imports`."""
+    """Return a Dask cluster on this machine, still without workers; these will first import `imports`."""
     from distributed import LocalCluster
     from distributed.utils import get_mp_context
 
@@ -156,7 +156,7 @@ def _end_workers(cluster: Any) -> None:
 
 
 class _LocalWorkers:
-    """A check, called during a run, that raises StoreError after 300 s without workers on this machine."""
+    """A check, called during a run, that raises StoreError if no worker of this machine exists for 300 s."""
 
     def __init__(self) -> None:
         self._seen = time.monotonic()
@@ -189,7 +189,7 @@ class _WithoutWorkers:
 
 
 def _map_here(work: Work, items: Sequence[Any]) -> Results:
-    """Yield each item with its result or the exception raised; the work is done in this process, in order."""
+    """Yield each item with the result of `work(item)`, called in this process, or the exception raised."""
     with one_opencv_thread():
         for item in items:
             try:
@@ -200,8 +200,9 @@ def _map_here(work: Work, items: Sequence[Any]) -> Results:
 
 
 def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Sequence[Any]) -> Results:
-    """Yield each item with its result or the exception raised, in the order in which workers finish.
-    `watch(client)` is called every few seconds. StoreError if the scheduler is lost."""
+    """Yield each item with the result of `work(item)` or the exception raised, in the order of completion.
+    `workers` is the number of workers. `watch(client)` is called at least every 2 s, to check them.
+    StoreError if the scheduler is lost."""
     from distributed import CancelledError, wait
 
     packed, mark = pickle.dumps(work), uuid.uuid4().hex
@@ -258,8 +259,8 @@ def _result(task: Any) -> Any:
 
 
 def _do(packed: bytes, versions: str, item: Any) -> Any:
-    """Return the result of the pickled work for an item; Dask calls this function on a worker.
-    ExperimentError if the run has other `versions` of Python or wavefield than this worker."""
+    """Return the result of the pickled function `packed` for an item; Dask calls this on a worker.
+    ExperimentError if `versions`, of Python and wavefield in the run, are not those of this worker."""
     if own_versions() != versions:
         raise ExperimentError(
             f"the workers run {own_versions()} ({sys.executable}), but the run {versions}: start both from "
@@ -274,7 +275,7 @@ def _do(packed: bytes, versions: str, item: Any) -> Any:
 
 @functools.lru_cache(maxsize=1)
 def _unpacked(packed: bytes) -> Work:
-    """Return the work (a function) from its pickle; the last one is kept in memory."""
+    """Return the function of which `packed` is the pickle; the latest is kept in memory."""
     work: Work = pickle.loads(packed)
     return work
 

@@ -84,7 +84,8 @@ def keep_memory() -> None:
 
 @functools.cache
 def set_up_worker() -> None:
-    """Configure this process as a worker: one OpenCV thread, memory of freed arrays kept, no named locks."""
+    """Configure this process as a worker, once: one OpenCV thread, memory of freed arrays kept.
+    Except on Windows, multiprocessing is set to "fork", with which locks leave no names behind."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -125,11 +126,11 @@ def memory_error(error: Exception) -> StoreError | None:
 
 
 class Stopped(KeyboardInterrupt):
-    """Raised in a run that is stopped by its time limit or by a signal, named in its text."""
+    """Raised in a run that must stop; the text is the cause: "its time limit", or a signal like "SIGTERM"."""
 
 
 def stopped_by(stop: KeyboardInterrupt) -> str:
-    """Return the first words of the message when a run is stopped: "stopped", or "stopped by SIGTERM"."""
+    """Return the first words of the message on a run that `stop` ended: "stopped" or "stopped by SIGTERM"."""
     return f"stopped by {stop}" if isinstance(stop, Stopped) else "stopped"
 
 
@@ -144,8 +145,8 @@ def _in_main_thread() -> bool:
 
 @contextmanager
 def stop_signals(time_limit: float | None = None) -> Iterator[None]:
-    """Context manager: raise `Stopped` on SIGTERM, SIGHUP, SIGUSR1 or after the time limit (s).
-    Slurm sends SIGUSR1 before the end of a job. There is no effect outside the main thread."""
+    """Context manager: raise `Stopped` in the block on SIGTERM, SIGHUP, SIGUSR1 or after `time_limit`, s.
+    Slurm can send SIGUSR1 before it ends a job. There is no effect outside the main thread."""
     if not _in_main_thread():
         yield
         return
@@ -171,7 +172,7 @@ def stop_signals(time_limit: float | None = None) -> Iterator[None]:
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Context manager: delay the effect of signals that stop a run until the block ends, or a second comes.
+    """Context manager: delay signals that stop a run until the block ends or a second signal arrives.
     Without it, interrupting the start of Dask prints tracebacks, and Ctrl-C in an import may be lost."""
     if not _in_main_thread():
         yield

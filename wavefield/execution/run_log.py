@@ -12,25 +12,25 @@ log = logging.getLogger("wavefield.run")
 
 
 def _is_log(path: Path) -> bool:
-    """Whether a file is empty or begins as a log of wavefield does."""
+    """Return whether a file is empty or begins with a date and level, as the logs of wavefield do."""
     with path.open("rb") as stream:
         line = stream.readline(200)
     return not line or re.match(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ ", line) is not None
 
 
 def log_path(store: Path) -> Path:
-    """Return the path of the log of a store's runs: cube.log for cube.zarr."""
+    """Return the path of the log file of the runs that write a store: cube.log for cube.zarr."""
     return store.with_suffix(".log")
 
 
 def jobs_folder(store: Path) -> Path:
-    """Return the absolute path of the folder for a store's Slurm output: cube.jobs for cube.zarr."""
+    """Return the absolute path of the folder for the output of Slurm jobs: cube.jobs for cube.zarr."""
     return store.absolute().with_suffix(".jobs")
 
 
 @contextmanager
 def log_file(store: Path) -> Iterator[None]:
-    """Context manager: append the messages of a run to the log next to its store."""
+    """Context manager: append the messages of a run to the log file next to the store that it writes."""
     with writing(store):
         store.parent.mkdir(parents=True, exist_ok=True)
         path = log_path(store)

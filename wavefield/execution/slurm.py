@@ -24,8 +24,8 @@ _MAX_LINE = 300  # characters of a log line that are quoted in a message
 
 
 def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
-    """Start a `dask_jobqueue.SLURMCluster`, which submits the jobs of a workflow to Slurm.
-    `logs` is the folder for the output of the jobs; it is made."""
+    """Start and return a `dask_jobqueue.SLURMCluster`, which submits the jobs of a workflow to Slurm.
+    `logs` is the folder for the output of the jobs; it is made if it does not exist."""
     _import_jobqueue()
     from dask_jobqueue import SLURMCluster
     from dask_jobqueue.core import Job as JobBase
@@ -98,7 +98,7 @@ def _import_jobqueue() -> None:
 
 
 def _keywords(workflow: Workflow, logs: Path) -> dict[str, Any]:
-    """Return the keywords for SLURMCluster: wavefield's own, replaced or extended by the workflow's."""
+    """Return the keywords for SLURMCluster: wavefield's own, replaced or extended by `workflow.slurm`."""
     given = dict(workflow.slurm)
     cores = int(given.get("cores", 1))
     environment = WORKER_ENVIRONMENT | {
@@ -130,12 +130,12 @@ def _keywords(workflow: Workflow, logs: Path) -> dict[str, Any]:
 
 
 def _processes(workflow: Workflow) -> int:
-    """Return the number of workers in each job."""
+    """Return the number of workers (processes) in each Slurm job."""
     return int(workflow.slurm.get("processes", workflow.slurm.get("cores", 1)))
 
 
 def count_jobs(workflow: Workflow) -> tuple[int, int]:
-    """Return the least and the greatest number of Slurm jobs that a workflow needs; for ``auto``, 1."""
+    """Return the least and the greatest number of Slurm jobs that a workflow needs; both 1 for ``auto``."""
     workers, processes = workflow.workers, _processes(workflow)
     if workers == "auto":
         return 1, 1
@@ -154,7 +154,7 @@ class QueueWatch:
         self._gone = 0  # number of successive checks without a queued or running job
 
     def __call__(self, client: Any) -> None:
-        """Check the jobs if there are no workers, at most every 10 s; `client` is Dask's client."""
+        """Check the jobs if Dask's `client` has no workers; do nothing within 10 s of the last check."""
         now = time.monotonic()
         if now - self._checked_at < _POLL_SECONDS:
             return
@@ -186,7 +186,7 @@ class QueueWatch:
 
 
 def _refusal(text: str) -> str:
-    """Return why sbatch rejects a job, in words; `text` is the message of dask-jobqueue's error."""
+    """Return a sentence on why sbatch rejects a job; `text` is the message of dask-jobqueue's error."""
     found = re.findall(r"sbatch: error: (.*)", text)
     if found:
         reason = "; ".join(dict.fromkeys(line.strip() for line in found))
@@ -209,7 +209,8 @@ def queue_of(user: str) -> dict[str, tuple[str, str]] | None:
 
 
 def why_ended(numbers: Sequence[str], logs: Path) -> str:
-    """Return a message on jobs that ended before their workers started, with the last line of a log."""
+    """Return a message on jobs that ended before their workers started, with the last line of one's log.
+    `numbers` are their Slurm job numbers, and `logs` is the folder of their output."""
     head = f"Slurm job {numbers[-1]} ended before its worker started; "
     for number in numbers:
         for path in sorted(logs.glob(f"*-{number}*")):

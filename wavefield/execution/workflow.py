@@ -1,4 +1,4 @@
-"""The workflow file: cluster, resources, and settings that replace those of the experiment."""
+"""The workflow file: cluster, workers, memory, and settings that replace those of the experiment."""
 
 import re
 from pathlib import Path
@@ -140,7 +140,7 @@ class Workflow(ConfigSection):
 
 
 def parse_duration(text: str) -> float:
-    """Return a duration, written as 3h 50m, 03:50:00 or a number of seconds, in seconds; else ValueError."""
+    """Return a duration, s, from text: "3h 50m", "03:50:00" or a number of seconds; else ValueError."""
     import pandas as pd  # takes half a second to import
 
     try:

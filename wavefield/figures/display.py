@@ -24,13 +24,13 @@ _UNITS = {
 
 
 def thin(*sizes: int) -> slice:
-    """Return the slice of each axis that leaves about `MARKS_ACROSS` nodes along the longest of them."""
+    """Return one slice, for every axis, that leaves about 24 of `sizes` nodes along the longest axis."""
     every = max(1, round(max(sizes) / MARKS_ACROSS))
     return slice(every // 2, None, every)
 
 
 def limit(values: ArrayLike, percent: float = 99.5) -> float:
-    """Return the half-width of a balanced colour scale: a percentile of |values|; 1 without values."""
+    """Return the upper end of a colour scale symmetric about zero: a percentile of |values|, or 1."""
     finite = np.abs(np.asarray(values, float))
     finite = finite[np.isfinite(finite)]
     return float(np.percentile(finite, percent)) or 1e-9 if finite.size else 1.0
@@ -38,7 +38,7 @@ def limit(values: ArrayLike, percent: float = 99.5) -> float:
 
 @dataclass(frozen=True)
 class Display:
-    """Name, unit and colours with which one variable is displayed."""
+    """How one variable is displayed: its name, unit, factor to this unit, and colours."""
 
     name: str
     factor: float  # stored values times this are in the displayed unit
@@ -70,9 +70,9 @@ class Display:
         return SIGNED if self.signed else POSITIVE
 
     def limits(self, values: NDArray[np.floating]) -> tuple[float, float]:
-        """Return the ends of the colour scale, to two digits, for values in the displayed unit.
-        The upper end is the 99.5 % quantile of |values|. The lower end is its negative for a signed variable.
-        For others it is zero, or the 0.5 % quantile if that exceeds half of the upper end."""
+        """Return the lower and upper end of the colour scale for values in the displayed unit.
+        The upper end is the 99.5 % quantile of |values|. The lower end is minus that for a signed variable;
+        for others it is zero, or the 0.5 % quantile of the values if that exceeds half of the upper end."""
         half = float(f"{limit(values):.2g}")
         if self.signed:
             return -half, half

@@ -1,4 +1,4 @@
-"""The nonlinear term, the residual of the kinematic condition, and the coherence of the terms."""
+"""Figures of the kinematic condition z_t = w - u . grad z: nonlinear term, residual, and coherence."""
 
 import numpy as np
 import xarray as xr
@@ -26,9 +26,9 @@ _TERMS = {"nonlinear": "nonlinear term u·∇z", "residual": "residual z_t − w
 
 
 def kinematics_maps(snapshot: xr.Dataset) -> Figure:
-    """Draw maps of elevation, vertical velocity, nonlinear term and residual, as Aubourg et al. (2019).
+    """Draw maps of z, w, the nonlinear term u . grad z, and the residual z_t - w + u . grad z.
 
-    The residual and the nonlinear term share one colour scale.
+    The last two share one colour scale. Aubourg et al. (2019) show such maps.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Coverage and faults of a cube; maps of misfits and uncertainties; distributions of fields and errors."""
+"""Figures of coverage and faults of a cube, misfits, uncertainties, distributions of fields and errors."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -32,14 +32,14 @@ _REASONS = {
 
 
 def _quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
-    """Return the fraction of values that have each quality bit of `_REASONS`, averaged over `dims`."""
+    """Return, for each name in `_REASONS`, the fraction of values along `dims` with this bit of `quality`."""
     return xr.Dataset(
         {name: ((quality & np.uint16(int(flag))) != 0).mean(dims) for name, flag in _REASONS.items()}
     )
 
 
 def coverage_map(cube: xr.Dataset) -> Figure:
-    """Draw maps of the fraction of time in which each node was measured, and in which it was interpolated.
+    """Draw maps of the fraction of time in which each node was measured, and was filled from neighbours.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def fault_history(cube: xr.Dataset) -> Figure:
 
 
 def misfit_maps(cube: xr.Dataset) -> Figure:
-    """Draw maps of the rms in time of the epipolar error eps_y, and of eps', the misfit of displacements.
+    """Draw maps of the rms in time of the epipolar error eps_y and of the misfit of displacements eps_piv.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def misfit_maps(cube: xr.Dataset) -> Figure:
 
 
 def uncertainty_maps(cube: xr.Dataset) -> Figure:
-    """Draw maps of the median in time of the standard uncertainties of z, u, v and w.
+    """Draw maps of the standard uncertainties of z, u, v and w: medians in time over at most 200 steps.
 
     Parameters
     ----------
@@ -130,8 +130,8 @@ def uncertainty_maps(cube: xr.Dataset) -> Figure:
 def _draw_densities(
     axes: Axes, curves: Mapping[str, np.ndarray], unit: str, xlabel: str, gaussian: bool = False
 ) -> None:
-    """Draw the probability density of the values of each named curve, arrays of any shape in `unit`.
-    With `gaussian`, a Gaussian with the mean and standard deviation of the widest curve is added."""
+    """Draw the probability densities of arrays of any shape, in `unit`; `curves` holds them by name.
+    With `gaussian`, a Gaussian with the mean and standard deviation of the widest density is added."""
     finite = {name: np.asarray(values[np.isfinite(values)], float) for name, values in curves.items()}
     moments = {
         name: (float(v.std()), float(v.mean())) if v.size else (0.0, 0.0) for name, v in finite.items()
@@ -154,7 +154,7 @@ def _draw_densities(
 
 
 def _displacements(cube: xr.Dataset, factor: float) -> dict[str, np.ndarray]:
-    """Return dx, dy, dz in one step, (time, y, x), in metres times a factor, by their labels."""
+    """Return displacements in one step, (time, y, x), metres times `factor`, by label such as "dx = u dt"."""
     rate = float(cube.attrs["frame_rate"])
     return {label: factor / rate * cube[name].values for name, label in _DISPLACEMENTS.items()}
 

@@ -1,4 +1,4 @@
-"""Drawings of the cameras and their fields of view, and images with the grid."""
+"""Figures of a rig: drawings of the cameras with their fields of view, and images with the grid."""
 
 from collections.abc import Mapping
 
@@ -58,7 +58,7 @@ def rig_views(rig: Rig, grid: Grid) -> Figure:
 
 
 def _rectangle(x: tuple[float, float], y: tuple[float, float]) -> NDArray[np.float64]:
-    """Return the corners of a rectangle with limits x and y as a closed line, (5, 2)."""
+    """Return the corners of a rectangle as a closed line (5, 2); x and y are its lower and upper limits."""
     return np.array([(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1]), (x[0], y[0])], float)
 
 

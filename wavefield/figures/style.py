@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wavefield.figures.display import POSITIVE, SIGNED, limit
 
-# those colours of Okabe and Ito (2008) that contrast with white, each with its own dash
+# colours that contrast with white, most of Okabe and Ito (2008); only the first two have the same dash
 LINES: tuple[dict[str, Any], ...] = (
     {"color": "#000000", "linestyle": "-"},
     {"color": "#0072B2", "linestyle": "-"},
@@ -55,7 +55,7 @@ def panels(
     columns: int, rows: int = 1, *, width: float = 5.2, height: float = 4.1, projection: str | None = None
 ) -> tuple[Figure, NDArray[np.object_]]:
     """Return a figure that does not use pyplot, and its axes (rows, columns).
-    `width` and `height` are the size of a panel in inches; `projection` is that of matplotlib."""
+    `width` and `height` are the size of one panel, inches; `projection` is matplotlib's, such as "3d"."""
     with matplotlib.rc_context(_RC):
         figure = NotebookFigure(figsize=(width * columns, height * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False, subplot_kw={"projection": projection})
@@ -65,7 +65,8 @@ def panels(
 def map_panels(
     field: xr.DataArray, columns: int, rows: int = 1, *, width: float = 5.2
 ) -> tuple[Figure, NDArray[np.object_]]:
-    """Return a figure and its axes (rows, columns), `width` inches wide and as high as maps of a field."""
+    """Return a figure and its axes (rows, columns) for maps of a field with coordinates x and y.
+    Each panel is `width` inches wide; its height follows from the extent of the field."""
     wide, high = (float(np.ptp(field[d].values)) or 1.0 for d in ("x", "y"))
     height = float(np.clip(0.74 * width * high / wide + 0.85, 1.6, 1.5 * width))
     return panels(columns, rows, width=width, height=height)
@@ -81,7 +82,8 @@ def edges(centres: np.ndarray) -> np.ndarray:
 def draw_cells(
     axes: Axes, x: np.ndarray, y: np.ndarray, values: np.ndarray, label: str, norm: Normalize, cmap: str
 ) -> None:
-    """Draw values (ny, nx) as cells around their centres x (nx,), y (ny,), with a labelled colour bar."""
+    """Draw values (ny, nx) as cells around the centres x (nx,), y (ny,), with a colour bar named `label`.
+    `norm` and `cmap` are matplotlib's colour scale and the name of the colour map."""
     drawn = axes.pcolormesh(
         edges(x), edges(y), np.ma.masked_invalid(values), norm=norm, cmap=cmap, rasterized=True
     )
@@ -101,8 +103,8 @@ def draw_map(
     scale: tuple[float, float] | None = None,
     title: str = "",
 ) -> None:
-    """Draw a map of a field (y, x) times a factor, with a labelled colour bar.
-    `scale` holds the values at the lower and upper end of the colours; by default they are balanced."""
+    """Draw a map of a field (y, x) times `factor`, with a colour bar named `label`.
+    `scale` is the lower and upper end of the colours; by default they are symmetric about zero."""
     values = factor * np.asarray(field.transpose("y", "x").values, float)
     if scale is None:
         half = limit(values)
@@ -113,12 +115,12 @@ def draw_map(
 
 
 def draw_positive_map(axes: Axes, field: xr.DataArray, label: str, factor: float) -> None:
-    """Draw a map of a positive field (y, x) times a factor, in colours from 0 to a percentile."""
+    """Draw a map of a positive field (y, x) times `factor`, in colours from 0 to its 99 % quantile."""
     draw_map(axes, field, label, factor, cmap=POSITIVE, scale=(0, factor * limit(field, 99)))
 
 
 def moment_title(snapshot: xr.Dataset) -> str:
-    """Return the time of a snapshot as a title, such as "t = 0.125 s"; empty if it is unknown."""
+    """Return the time of one step of a cube as a title, such as "t = 0.125 s"; empty if it is unknown."""
     return f"t = {round(float(snapshot.time), 3):g} s" if "time" in snapshot.coords else ""
 
 
@@ -147,8 +149,8 @@ def draw_curves(
     log: str = "",
     valid: np.ndarray | None = None,
 ) -> None:
-    """Draw labelled curves (n,) over x (n,), thin and pale where `valid` (n,) is False.
-    `log` names the logarithmic axes, such as "xy"."""
+    """Draw curves (n,), given by label, over x (n,); they are thin and pale where `valid` (n,) is False.
+    `log` names the logarithmic axes, such as "xy"; `styles` holds matplotlib's properties of each line."""
     for style, (label, values) in zip(styles, curves.items(), strict=False):
         drawn = positive(values) if "y" in log else np.asarray(values)
         if valid is not None:
@@ -159,7 +161,8 @@ def draw_curves(
 
 
 def finish(axes: Axes, xlabel: str, ylabel: str, *, columns: int | None = None, **properties: object) -> None:
-    """Label the axes of a line plot, and add a grid and a legend of some columns above it."""
+    """Label the axes of a line plot, set their `properties`, and add a grid and, above the plot, a legend.
+    The legend has `columns` columns, by default two, or three for five curves or more."""
     axes.set(xlabel=xlabel, ylabel=ylabel, **properties)
     axes.grid(True, which="major", color="0.88", linewidth=0.7)
     axes.set_axisbelow(True)

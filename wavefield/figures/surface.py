@@ -1,4 +1,4 @@
-"""Pictures of the surface and its velocity at one moment."""
+"""Figures of the surface and its velocity at one step."""
 
 from typing import Any
 
@@ -57,7 +57,7 @@ def surface_3d(snapshot: xr.Dataset) -> Figure:
 
 
 def _relief(z: np.ndarray) -> np.ndarray:
-    """Return brightness factors from 0.72 to 1, (y, x), as if light came from one side of the surface z."""
+    """Return brightness factors from 0.72 to 1 for a surface z (y, x), as if light came from one side."""
     slope = np.nan_to_num(np.gradient(z, axis=1) - np.gradient(z, axis=0))
     return np.asarray(0.86 + 0.14 * np.clip(slope / limit(slope, 95), -1, 1))
 

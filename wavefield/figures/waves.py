@@ -34,12 +34,12 @@ _LOWEST_COLOUR = "#440154"  # lowest colour of viridis, for values below the col
 
 
 def _units(name: str) -> str:
-    """Return the units of the spectrum E(k, omega) of the quantity `name`, as text of an axis."""
+    """Return the unit of E(k, omega) of the variable `name`, z or a velocity, as text for an axis."""
     return f"{'m²' if name == 'z' else 'm² s⁻²'} (rad/m)⁻¹ (rad/s)⁻¹"
 
 
 def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: str = "w") -> Figure:
-    """Draw the spectrum E(k, omega) in colour, with the dispersion relation.
+    """Draw the spectrum E(k, omega) of one variable in colour, with the linear dispersion relation.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
     dispersion : Dataset, optional
         Group ``/dispersion``, for the theoretical curve.
     name : str, default "w"
-        Quantity of the spectrum.
+        Variable of which the spectrum is drawn.
 
     Returns
     -------
@@ -79,7 +79,7 @@ def komega_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: 
 
 
 def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, name: str = "w") -> Figure:
-    """Draw the spectrum E(kx, ky) at up to three frequencies, with the circle of the dispersion relation.
+    """Draw the spectrum E(kx, ky) of z or w at up to three frequencies, with the linear dispersion relation.
 
     A wave propagates in the direction of (kx, ky).
 
@@ -88,9 +88,9 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
     spectra : Dataset
         Group ``/spectra`` of a wave store.
     dispersion : Dataset, optional
-        Group ``/dispersion``, for the circle.
+        Group ``/dispersion``, for the circle on which waves that follow the relation lie.
     name : str, default "w"
-        Quantity of the spectrum.
+        Variable of which the spectrum is drawn.
 
     Returns
     -------
@@ -121,10 +121,10 @@ def wavevector_map(spectra: xr.Dataset, dispersion: xr.Dataset | None = None, na
 
 
 def elevation_spectra(spectra: xr.Dataset) -> Figure:
-    """Draw the frequency spectrum of the elevation by each method.
+    """Draw the frequency spectrum of the elevation by each method: probes, z, integrated w, and combinations.
 
-    Lines are thin and pale at frequencies that the store marks as not valid. The band is the 95 % interval of
-    the stereo spectrum.
+    Lines are thin and pale at frequencies that the store marks as not valid. The band is the 95 % confidence
+    interval of the spectrum of z.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def dispersion_ridge(dispersion: xr.Dataset) -> Figure:
 
 
 def directions(direction: xr.Dataset) -> Figure:
-    """Draw the directional distribution of the waves at up to four frequencies, and isotropy over frequency.
+    """Draw the density of wave energy over direction at up to four frequencies, and isotropy over frequency.
 
     Parameters
     ----------
@@ -247,8 +247,8 @@ def probe_series(compared: xr.Dataset) -> Figure:
     Parameters
     ----------
     compared : Dataset, (probe, time)
-        ``elevation`` of the probes and ``z`` of the cube there, both without their means (m), with
-        ``rms_difference`` (m) and ``correlation`` of each probe. Only the middle of a long record is drawn.
+        ``elevation`` by the probes and ``z`` of the cube at the same positions, each minus its mean (m); and
+        by probe, ``rms_difference`` (m) and ``correlation``. Only the middle of a long record is drawn.
 
     Returns
     -------
@@ -275,7 +275,7 @@ def probe_series(compared: xr.Dataset) -> Figure:
 
 
 def bicoherence_map(higher_order: xr.Dataset) -> Figure:
-    """Draw bicoherence and tricoherence, in grey where waves without a relation could explain them.
+    """Draw bicoherence and tricoherence, in grey where they are below the level that unrelated waves reach.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def bicoherence_map(higher_order: xr.Dataset) -> Figure:
 
 
 def crest_curves(crests: xr.Dataset) -> Figure:
-    """Draw the fraction of crests and of troughs that exceed a level, with the laws of Rayleigh and Tayfun.
+    """Draw the fraction of crests and of troughs beyond each level, with the laws of Rayleigh and Tayfun.
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ def crest_curves(crests: xr.Dataset) -> Figure:
 
 
 def flatness_curves(structure: xr.Dataset) -> Figure:
-    """Draw second-order structure functions and the flatness of increments over the lag in time, x and y.
+    """Draw the mean square (second-order structure function) and flatness of increments over lag in t, x, y.
 
     Parameters
     ----------
