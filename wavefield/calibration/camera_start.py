@@ -47,7 +47,7 @@ START_TERMS = ("f", "c", "k1")  # lens terms of a camera calibrated alone
 
 @dataclass(frozen=True)
 class SingleCamera:
-    """One camera, calibrated from its own views without the other cameras."""
+    """Result of `calibrate_single`: the lens of one camera, and the poses of the target in its frame."""
 
     lens: Array  # (12,): Lens in the order of `LENS`
     poses: dict[str, Pose]  # Target to camera, for each pose observed

@@ -85,8 +85,7 @@ def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
 
 def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes, Array]]:
     """Return, for each dot, the columns, rows and grey values (m,) of the pixels around it.
-    They are less than half the distance to the neighbouring dots away. `pixel` (n, 2) are positions of
-    dots."""
+    They reach half the distance to the neighbouring dots. `pixel` (n, 2) are the positions of the dots."""
     half_mesh = 0.5 * SmoothMap(node, pixel).slopes(node)
     inverse = np.linalg.inv(np.moveaxis(half_mesh, 1, 2))
     reach = np.ceil(np.abs(half_mesh).sum(1)).astype(int)
@@ -140,8 +139,9 @@ def number_right_handed(
     image: Image | None, node: Nodes, pixel: Array, shape: tuple[int, int]
 ) -> tuple[Nodes, tuple[str, ...]]:
     """Renumber the nodes of a complete grid right-handed seen from above; return indices (n, 2) and notes.
-    If several numberings remain, x is to the right in the image. `image` is given only for a chessboard,
-    where the square between nodes (0, 0) and (1, 1) is dark."""
+    `shape` is the number of nodes along x and y. If several numberings remain, x is to the right in the
+    image. `image` is given only for a chessboard, where the square between nodes (0, 0) and (1, 1) is
+    dark."""
     last = np.array(shape) - 1
     if cross(*SmoothMap(node, pixel).slopes(last[None] / 2)[0]) > 0:
         node = np.stack([node[:, 0], last[1] - node[:, 1]], -1)
@@ -191,8 +191,8 @@ def dot_centres(
 def make_points(
     image: Image, node: Nodes, pixel: Array, notes: tuple[str, ...] = (), noise: Array | float = 0.0
 ) -> TargetPoints:
-    """Make target points from node indices and pixels, without those far from a smooth map between the two.
-    The uncertainty of each is at least `noise`, px, and at least the scatter of all about the map."""
+    """Make target points from node indices and pixels, without those that miss a smooth map between the two.
+    The uncertainty of each is at least `noise`, px, and at least the scatter of all points about the map."""
     smooth = SmoothMap(node, pixel)
     free = max(len(node) - 4 - len(smooth.powers), 1)
     limited = np.minimum(smooth.misfit, OUTLIER_DEVIATIONS * smooth.spread)

@@ -127,8 +127,9 @@ def _windows(table: Array, node: Nodes) -> Array:
 
 
 class TargetLattice:
-    """The nodes of a target found in one image, with indices and pixels. It grows from one node outwards.
-    That node is at `start` (2,), px; e1 and e2 (2,), px, are the steps from it to the next along i and j."""
+    """The nodes of a target found in an image, with indices and pixels; `grow` adds more from one outwards.
+    The first node is at `start` (2,), px; e1 and e2 (2,), px, are the steps from it to the next along i and
+    j."""
 
     def __init__(self, start: Array, e1: Array, e2: Array) -> None:
         self.place = np.full((2 * REACH + 1, 2 * REACH + 1, 2), np.nan)  # [i + REACH, j + REACH], px
@@ -137,7 +138,7 @@ class TargetLattice:
 
     @property
     def filled(self) -> Mask:
-        """Mask (2 REACH + 1, 2 REACH + 1): true for nodes whose pixel is known."""
+        """Mask (2 REACH + 1, 2 REACH + 1): at [i + REACH, j + REACH], whether node (i, j) has been found."""
         out: Mask = np.isfinite(self.place[..., 0])
         return out
 

@@ -187,7 +187,7 @@ def level_experiment(
     Parameters
     ----------
     experiment : path or Experiment
-        Its cameras must see natural texture from similar directions.
+        An experiment whose cameras see natural texture from similar directions.
     rig : path, optional
         A rig to use instead of the experiment's. Its frame is arbitrary, for example that of a camera.
     distance : float, optional

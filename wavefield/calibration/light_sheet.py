@@ -48,7 +48,7 @@ def particles(image: Image, visible: Mask) -> Image:
 
 @dataclass
 class Correlation:
-    """Cross-correlations of the images of two cameras in square windows, summed over instants."""
+    """Cross-correlations of the images of two cameras in square windows, summed over many instants."""
 
     rows: Sequence[int]  # First image row of each row of windows
     columns: Sequence[int]  # First image column of each column of windows
@@ -126,7 +126,7 @@ class SheetWindows:
         self._disparities = {pair: total.disparities() for pair, total in self._correlations.items()}
 
     def _add(self, read: Read, instants: Sequence[int], x: Array, y: Array) -> int:
-        """Add the correlations of all instants, from images resampled to x, y, m; return the number used."""
+        """Add the correlations of all instants, from images resampled at x, y, m; return the number used."""
         maps = {name: sight_map(self.rig[name], x, y) for name in self.rig}
         used = 0
         for k in instants:
@@ -142,7 +142,7 @@ class SheetWindows:
         return used
 
     def matches(self) -> dict[str, Array]:
-        """Return the pixels (windows, 2) where each camera sees the particles of a window; NaN if unknown."""
+        """Return, by camera, the pixels (windows, 2) of the same particles in each window; NaN if unknown."""
         reference = self.pairs[0][0]
         out = {reference: self._pixels(reference, np.zeros((*self.x.shape, 2)))}
         out |= {name: self._pixels(name, shift) for (_, name), shift in self._disparities.items()}
@@ -216,7 +216,7 @@ def find_sheet(
     Parameters
     ----------
     experiment : path or Experiment
-        Its cameras must see one light sheet.
+        An experiment whose cameras see the same light sheet.
     rig : path, optional
         A rig to use instead of the experiment's, calibrated on a target near the sheet.
     frames : int

@@ -67,7 +67,7 @@ def project_points(observations: Observations, result: Fit, points: Array) -> tu
 
 
 def volume_points(o: Observations, result: Fit, level: bool) -> Array:
-    """Return points (n, 3), m, in the volume where the rig will be used: near z = 0 in the common field.
+    """Return points (n, 3), m, in the volume where the rig will be used: near z = 0 where all cameras see it.
     If not `level`, they are observed target nodes."""
     g = result.geometry
     if not level:
@@ -86,8 +86,8 @@ def volume_points(o: Observations, result: Fit, level: bool) -> Array:
     return used
 
 
-# The third is the paper's model. A sensor tilt is nearly equivalent to a shift of the principal point, and
-# better conditioned. No candidate frees both: the condition number would be 1e8 or more.
+# The third is the model of Aubourg et al. (2019). A sensor tilt is nearly equivalent to a shift of the
+# principal point, and better conditioned. No candidate frees both: the condition number would be 1e8 or more.
 CANDIDATES = (
     *("f c k1", "f tilt k1", "f aspect c k1"),
     *("f aspect c k1 k2 p", "f aspect c k1 k2 p k3"),

@@ -136,7 +136,7 @@ def collect(
 
 @dataclass(frozen=True)
 class Geometry:
-    """Lenses and positions of C cameras, P poses of the target and offsets of its N nodes."""
+    """Lenses and positions of C cameras, P poses of the target, and offsets of the target's N nodes."""
 
     lens: Array  # (C, 12): Lens of each camera, in the order of `LENS`
     R: Array  # (C, 3, 3): Rotation from world to camera

@@ -37,7 +37,8 @@ def dip(height: float) -> float:
 
 def find_horizon(mean: NDArray[np.generic], camera: Camera) -> Array | None:
     """Return points (n, 2), px, of the horizon in the mean image of a fixed camera; None if there is none.
-    The horizon is straight in the undistorted image, with a roll of up to 45 degrees."""
+    The mean is over many instants. The horizon is straight in the undistorted image, with a roll of up to 45
+    degrees."""
     smooth = np.asarray(cv2.GaussianBlur(np.asarray(mean, np.float32), (0, 0), SMOOTHING), float)
     steepness = np.abs(np.gradient(smooth, axis=0))
     above, here, below = steepness[:-2], steepness[1:-1], steepness[2:]
@@ -186,7 +187,7 @@ def jackknife_std(
 
 
 def _joined(matches: Sequence[Instant]) -> list[_Match]:
-    """Join the matches of all instants by pair of cameras, thinned evenly to `MAX_MATCHES`."""
+    """Join the matches of all instants by pair of cameras, thinned evenly to `MAX_MATCHES` of each pair."""
     out = []
     for pair in dict.fromkeys(pair for one in matches for pair in one):
         parts = [one[pair] for one in matches if pair in one]

@@ -28,7 +28,7 @@ MAX_EPIPOLAR_ERROR = 3.0  # px, of a correct match: features are found to about 
 
 
 def match_features(one: NDArray[np.generic], other: NDArray[np.generic]) -> Pixels:
-    """Return the pixels (n, 2), in each of two images, of SIFT features (Lowe 2004) that match best."""
+    """Return the pixels (n, 2), in each of two images, of SIFT features (Lowe 2004) that match mutually."""
     sift = cv2.SIFT.create(nfeatures=MAX_FEATURES)
     found = [sift.detectAndCompute(_bytes(image), None) for image in (one, other)]
     if any(len(points) < 2 for points, _ in found):

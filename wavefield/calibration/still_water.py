@@ -172,8 +172,8 @@ class SightLineFit:
 
     def misfit(self, projected: Array) -> float:
         """Return a robust distance, px, by which sight lines miss each other.
-        `projected` holds residuals over `std`, of all points and cameras; a shift of a point cannot reduce
-        them."""
+        `projected` holds residuals over `std` from which the part that shifts of points explain has been
+        removed."""
         norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
         # normalise by the median of a chi distribution with 2 cameras - 3 degrees of freedom
         median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))
@@ -268,8 +268,8 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
 
 def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
     """Decide whether a camera has moved, and which.
-    The second result holds a solution by the camera that may have moved in it; the key None is for no
-    camera."""
+    The second result holds a solution for each camera that may have moved, by name, and one for none under
+    the key None."""
     solutions: dict[str | None, Solution] = {None: problem.solve(())}
     for name in problem.names:
         solutions[name] = problem.solve((name,))

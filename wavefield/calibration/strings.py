@@ -192,7 +192,8 @@ def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
 
 
 def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
-    """Fit a uniform disc at each node; return quality (explained over residual), radius (meshes) and grey.
+    """Fit a uniform disc at each node; return quality, radius and grey of each, all (n,).
+    The quality is explained over residual brightness; radii are in units of the distance between nodes.
     `excess` and `usual` are the results of `_circles`."""
     noise = np.median(np.abs(excess[:, -10:])) + 1e-3
     disc = np.clip((DISC_RADII[:, None] - CIRCLES) / 0.05 + 0.5, 0, 1)[..., None]

@@ -123,7 +123,7 @@ def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
 
 
 def placed_at(points: TargetPoints, height: float) -> TargetPoints:
-    """Return the points with known positions in the rig's frame, if the target is parallel to z = 0.
+    """Return the points of a target parallel to z = 0 as known positions in the frame of the rig.
     `height` is that of the target above z = 0, m."""
     own = np.zeros(len(points)) if points.z is None else points.z
     return replace(points, z=own + height, placed=True)

@@ -54,9 +54,9 @@ PlateAxes = tuple[Nodes, Nodes, Nodes]
 
 
 def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Array) -> PlateAxes | None:
-    """Return origin, x and y from a triangle between dots of `level` and a square between those of `other`.
-    They are in meshes; the origin is the dot next to both marks. `centre` (n, 2), px, are all bright shapes.
-    Returns None if the marks are not found."""
+    """Return origin and steps x and y, (2,) each, of the axes that a triangle and a square mark, in meshes.
+    The triangle is between dots of `level`, the square between dots of `other`; the origin is the dot next to
+    both. `centre` (n, 2), px, are all bright shapes. Returns None if the marks are not found."""
     near = [cKDTree(one.pixel).query(centre)[0] < 0.1 * one.side for one in (level, other)]
     rest = centre[~near[0] & ~near[1]]
     if len(rest) < 2:

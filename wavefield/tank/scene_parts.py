@@ -177,7 +177,8 @@ class Timing(Part):
 
 
 class Fault(Part):
-    """Faults of a camera while it records; its target images are correct."""
+    """Faults of one camera while it records: its images are shifted, late or blurred, for example.
+    Its target images are correct."""
 
     mirrored: bool = Field(default=False, description="columns in reverse order")
     shows: str | None = Field(default=None, description="the camera whose images come under its name")
@@ -200,7 +201,7 @@ class Fault(Part):
 
 
 class Strings(Part):
-    """A grid of white strings, as in Aubourg et al. (2019)."""
+    """A target that is a grid of white strings, as in Aubourg et al. (2019)."""
 
     kind: Literal["strings"] = "strings"
     mesh: Positive = Field(default=0.10, description="distance between strings, m")
@@ -214,7 +215,7 @@ class Strings(Part):
 
 
 class Chessboard(Part):
-    """A chessboard centred on the origin."""
+    """A target that is a chessboard centred on the origin."""
 
     kind: Literal["chessboard"]
     mesh: Positive = Field(default=0.08, description="side of a square, m")
@@ -223,7 +224,7 @@ class Chessboard(Part):
 
 
 class Dots(Part):
-    """A regular grid of white dots on a dark plate, centred on the origin."""
+    """A target that is a regular grid of white dots on a dark plate, centred on the origin."""
 
     kind: Literal["dots"]
     mesh: Positive = Field(default=0.08, description="distance between dots, m")
@@ -290,7 +291,7 @@ class _SeaSettings(Part):
 
 
 class StillSea(_SeaSettings):
-    """Water without waves, which may have a current."""
+    """Water without waves other than those in ``added``; it may have a current."""
 
     kind: Literal["still"]
 
@@ -339,7 +340,7 @@ class PowerLaw(Part):
 
 
 class RandomSea(_SeaSettings):
-    """A random sea with a given spectrum."""
+    """A random sea with a given spectrum, directional spread and standard deviation of the elevation."""
 
     kind: Literal["random"]
     rms: NotNegative = Field(description="standard deviation of the elevation, m")

@@ -66,7 +66,7 @@ class Tank:
 
     @cached_property
     def population(self) -> Population | Particles:
-        """The beads of the scene, or the particles of its light sheet; ValueError without beads."""
+        """The beads of the scene, or the particles of its light sheet; ValueError if it has neither."""
         if isinstance(self.scene.surface, Sheet):
             return Particles(self.scene, self.scene.surface, self.x, self.y, len(self.rig))
         return Population(self.scene, self.basin, self.x, self.y, len(self.rig))
@@ -119,7 +119,7 @@ class Tank:
         return max(frame - self.scene.faults.get(name, _NO_FAULT).late, 0)
 
     def _beads(self, beads: BeadField, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
-        """Return the image of the beads in the camera `name`, (row, column), in grey levels of 255.
+        """Return the image of the beads that the camera `name` takes, (row, column), in grey levels of 255.
         It is without noise. `fault` holds shift, turn, delay and defocus of the camera."""
         assert not isinstance(self.scene.surface, (Texture, SeaSurface))
         camera = _shifted(self.rig[name], fault.shift)
@@ -165,7 +165,7 @@ class Tank:
         return texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed)
 
     def _painted(self, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
-        """Return the image of the textured water surface in the camera `name`, (row, column).
+        """Return the image of the textured water surface that the camera `name` takes, (row, column).
         It is in grey levels of 255, without noise. `fault` holds shift and defocus of the camera."""
         settings = self.scene.surface
         assert isinstance(settings, Texture)
@@ -193,7 +193,7 @@ class Tank:
         return tuple((paint(kind, 0), paint(kind, 1)) for kind in range(2))
 
     def _open_sea(self, frame: int, name: str, settings: SeaSurface) -> NDArray[np.float32]:
-        """Return the image of sea and sky in the camera `name`, (row, column).
+        """Return the image of sea and sky that the camera `name` takes, (row, column).
         It is in grey levels of 255, without noise."""
         camera = self.rig[name]
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
@@ -230,7 +230,7 @@ class Tank:
 
     @cached_property
     def target_poses(self) -> dict[str, targets.Pose]:
-        """Poses of the target by name of the image: ``tilt_0``, ``tilt_1``, ..., ``flat``; empty at open sea."""
+        """Poses of the target by name of the image (``tilt_0``, ``tilt_1``, ..., ``flat``); none at sea."""
         settings, grid = self.scene.calibration, self.scene.grid
         if isinstance(self.scene.surface, SeaSurface):
             return {}  # there is no target at sea
