@@ -215,7 +215,7 @@ def verify(context: click.Context, source: campaign_commands.CommandSource) -> N
 def init(folder: Path, output: Path | None) -> None:
     """Propose an experiment file for a folder of images.
 
-    Finds the numbered images of each camera and adds a comment on each. Values that a folder does not reveal
+    Finds the numbered images of each camera and comments on every guess. Values that a folder does not reveal
     (frame rate, depth) are marked TO FILL IN; complete the lines on calibration, rest and probes. Never
     overwrites a file.
     """

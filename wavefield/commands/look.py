@@ -48,8 +48,8 @@ def look(source: Path, run: str | None, port: int | None) -> None:
     """Serve an interactive page of a cube.
 
     It shows maps, series, spectra, camera images and waves. The page can be opened from this machine only.
-    While a run writes the cube, the page shows new steps as they come. With a catalog, name the RUN unless
-    only one of its runs has a cube.
+    While a run writes the cube, the page shows new steps as they come. With a catalog, name the RUN if
+    several of its runs have a cube.
     """
     from wavefield.explorer.record import LookSession
     from wavefield.explorer.server import session_server

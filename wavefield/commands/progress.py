@@ -16,8 +16,8 @@ from wavefield.text import short_path, spell_time
 
 class Progress:
     """Prints how much of a stage, such as "Reading cube.zarr", is done and how long the rest will take.
-    Call it with the number of parts, such as "steps", done and of all parts. On a terminal it redraws one
-    line; in a log it prints a line at the start, at each quarter, once a minute, and at the end."""
+    Call it with the number of parts done and the number of all parts; `unit` names them, such as "steps". A
+    terminal shows one line; a log gets lines at the start, at each quarter, once a minute, and at the end."""
 
     def __init__(self, stage: str, unit: str = "", stream: TextIO | None = None) -> None:
         self.stream = stream if stream is not None else sys.stderr

@@ -128,7 +128,7 @@ Examples:
 def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
     """Move z = 0 to a light sheet, found from its particles.
 
-    Correlates the cameras' images of one instant, projected onto z = 0. They disagree where the sheet is not
+    Correlates simultaneous images of the cameras, projected onto z = 0. They disagree where the sheet is not
     in the target's plane or a camera has moved; the new rig corrects both.
     """
     from wavefield.calibration.light_sheet import find_sheet

@@ -72,7 +72,7 @@ def frames_option(default: int, words: str, least: int = 1) -> Callable[[Command
 
 def find_cube(source: Path, run: str | None = None) -> Path:
     """Return the cube of an experiment file, a folder, or a run of a catalog; a cube is returned as it is.
-    Raises StoreError if there is none, or if `run` is given without a catalog."""
+    `run` needs a catalog. Raises StoreError if there is no cube, ExperimentError if a catalog has none."""
     if source.is_file():
         from wavefield.pipeline import catalog
 

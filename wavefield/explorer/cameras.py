@@ -91,7 +91,7 @@ Image = NDArray[Any]
 
 def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
     """Return an 8-bit copy of an image (row, column) with at most 1000 px along each side, and the factor n.
-    Each pixel of the copy is the mean of n x n pixels. Its 0.5 % and 99.5 % quantiles become 0 and 255."""
+    Its pixels are means of n x n pixels. The 0.5 % and 99.5 % quantiles of grey levels become 0 and 255."""
     factor = max(1, -(-max(image.shape) // MAX_SCREEN_PX))
     h, w = (n - n % factor for n in image.shape)
     small = np.asarray(image[:h, :w], np.float32)

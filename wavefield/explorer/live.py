@@ -80,7 +80,7 @@ class FolderWatch:
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
         """Return the newest two successive frames of all cameras that still record; None if there are none.
-        The number of the first is above `after`. Cameras more than 1 s late have stopped."""
+        The number of the first is above `after`. A camera over 1 s behind the others counts as stopped."""
         latest = max(self.written.values(), default=0.0)
         longest = lights.LIMITS["delay"][1]  # a camera further behind the others counts as stopped
         sending = [name for name, when in self.written.items() if latest - when <= longest]

@@ -143,7 +143,8 @@ class MapPanel:
         self.mark(place.node)
 
     def _name_values(self, place: Place, code: str) -> bool:
-        """Set the tooltip, in which the JavaScript `code` formats the value; return whether it changed."""
+        """Set the map's tooltip to the variable in `place`, with values formatted by the JavaScript `code`.
+        Return whether the tooltip changed."""
         shown = display(place.show)
         rows = [(shown.name, f"@image{{custom}} {shown.unit}"), _WHERE]
         changed = bool(self.hover.tooltips != rows)

@@ -172,7 +172,7 @@ class NodePanel:
         return nearest(y, self._node[1]), nearest(x, self._node[0])
 
     def _near_probe(self) -> "xr.Dataset | None":
-        """Return the probe nearest to the picked node, within 5 cm or one grid spacing; None without one."""
+        """Return the probe nearest to the picked node, within 5 cm or one grid step; None if none is."""
         record = self._record
         j, i = self._index(record.y, record.x)
         spacing = abs(float(record.x[-1] - record.x[0])) / max(record.x.size - 1, 1)

@@ -21,7 +21,7 @@ _WRAP = {"flex-wrap": "wrap"}
 
 
 def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return log10(density / largest density), with values below -`DECADES` raised to it.
+    """Return log10(density / largest density); values below -6 become -6 (`-DECADES`).
     All are NaN if no density is positive."""
     top = float(np.nanmax(density)) if np.isfinite(density).any() else 0.0
     if top <= 0:

@@ -24,13 +24,15 @@ _UNITS = {
 
 
 def thin(*sizes: int) -> slice:
-    """Return one slice, for every axis, that leaves about 24 of `sizes` nodes along the longest axis."""
+    """Return the slice that, applied to every axis of a grid, leaves about 24 nodes along the longest.
+    `sizes` are the numbers of nodes along the axes."""
     every = max(1, round(max(sizes) / MARKS_ACROSS))
     return slice(every // 2, None, every)
 
 
 def limit(values: ArrayLike, percent: float = 99.5) -> float:
-    """Return the upper end of a colour scale symmetric about zero: a percentile of |values|, or 1."""
+    """Return the upper end of a colour scale symmetric about zero: the percentile `percent` of |values|.
+    The result is 1 if no value is finite."""
     finite = np.abs(np.asarray(values, float))
     finite = finite[np.isfinite(finite)]
     return float(np.percentile(finite, percent)) or 1e-9 if finite.size else 1.0
@@ -61,7 +63,7 @@ class Display:
 
     @property
     def signed(self) -> bool:
-        """Whether the variable can be negative; its colours are then balanced about zero."""
+        """Whether the variable can be negative; its colours are then symmetric about zero."""
         return not self.name.endswith("_std") and self.name not in ("eps_piv", "quality")
 
     @property

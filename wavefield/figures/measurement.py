@@ -88,7 +88,7 @@ def fault_history(cube: xr.Dataset) -> Figure:
 
 
 def misfit_maps(cube: xr.Dataset) -> Figure:
-    """Draw maps of the rms in time of the epipolar error eps_y and of the misfit of displacements eps_piv.
+    """Draw maps of the rms in time of eps_y, the epipolar error, and eps_piv, the misfit of displacements.
 
     Parameters
     ----------

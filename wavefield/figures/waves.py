@@ -275,7 +275,7 @@ def probe_series(compared: xr.Dataset) -> Figure:
 
 
 def bicoherence_map(higher_order: xr.Dataset) -> Figure:
-    """Draw bicoherence and tricoherence, in grey where they are below the level that unrelated waves reach.
+    """Draw bicoherence and tricoherence, grey below the level that random phases exceed in 5 % of cases.
 
     Parameters
     ----------

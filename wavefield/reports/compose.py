@@ -62,7 +62,7 @@ def report(
 
 
 def measured_run(store: str | Path) -> Run:
-    """Return the run that writes or wrote a cube; raise StoreError if the status of no step is set yet."""
+    """Return the run that writes or wrote a cube; raise StoreError if it has not done any step yet."""
     run = open_run(store)
     if not (run.cube.frame_status.values > 0).any():
         raise StoreError(f"{store} has no measured step yet; run `wavefield run` first")
@@ -85,7 +85,7 @@ def write_report(
 
 def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSection]]:
     """Return functions, in the order of the report, that each draw one section.
-    For a run in a light sheet, the sections on waves and elevation are left out."""
+    For a run in a light sheet, the sections on waves, elevation and distributions are left out."""
     numbers = RunNumbers(run)
     builders: list[Callable[[], ReportSection]] = [partial(result, numbers), partial(attention, run, verdict)]
     of_surface = [] if in_light_sheet(run) else [spectra, nonlinearity, distributions]

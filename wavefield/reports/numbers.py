@@ -58,7 +58,7 @@ def thinned(cube: xr.Dataset, *names: str) -> xr.Dataset:
 
 
 def snapshot(cube: xr.Dataset) -> xr.Dataset:
-    """Return the step (y, x), loaded, with the most values of w within 10 steps of mid-record."""
+    """Return the step (y, x), loaded, with most finite values of w within 10 steps of mid-record."""
     middle = cube.sizes["time"] // 2
     near = cube.isel(time=slice(max(0, middle - _SNAPSHOT_STEPS), middle + _SNAPSHOT_STEPS + 1))
     shares = np.isfinite(near.w).mean(("y", "x")).values
@@ -81,7 +81,7 @@ def reason_of(run: Run, name: str) -> str:
 
 
 def in_folder(run: Run, words: str) -> str:
-    """Return the text `words` with its paths made relative to the folder of the cube or experiment."""
+    """Return the text `words`, with paths in the folder of the cube or experiment made relative to it."""
     experiment = run.experiment.path.parent if run.experiment is not None else run.store.parent
     for folder in (run.store.parent, run.store.absolute().parent, experiment, experiment.absolute()):
         if folder != Path():

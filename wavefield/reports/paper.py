@@ -33,7 +33,7 @@ def paper(
     rest: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Draw the figures of Aubourg et al. (2019) from a cube, in one file; compare its numbers with theirs.
+    """Draw the figures of Aubourg et al. (2019) from a cube, and compare its numbers with the published ones.
 
     Parameters
     ----------
