@@ -58,7 +58,8 @@ def file_names(folder: Path) -> list[str]:
 
 def read_mark(path: Path) -> Product | None:
     """Return the kind and source in the mark of a file or Zarr store of wavefield, as a `Product`.
-    None if there is no mark, or if the content was changed since. StoreError if the user may not read it."""
+    None if there is no mark, or if the content was changed after it was marked. StoreError if the user may
+    not read the file."""
     try:
         if path.is_dir():
             mark = json.loads((path / "zarr.json").read_bytes())["attributes"][MARK_ATTRIBUTE]
@@ -85,7 +86,8 @@ def has_mark(store: Path) -> bool:
 
 
 def write_mark(path: Path, product: Product) -> None:
-    """Append a mark (kind, source, digest) to a finished file, or add it to a Zarr store's attributes."""
+    """Append a mark to a finished file, or add it to the attributes of a finished Zarr store.
+    The mark is the kind and source of `product`, and a digest of the content."""
     if path.is_dir():
         file = path / "zarr.json"
         data = json.loads(file.read_bytes())

@@ -166,8 +166,8 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Return the content of a YAML file that holds a mapping.
-    ExperimentError if the file cannot be read or is not a mapping, or if a key is repeated."""
+    """Return the content of a YAML file, which must be a mapping.
+    ExperimentError if it is not, if the file cannot be read, or if a key is repeated."""
     node = _compose(path)
     if not isinstance(node, yaml.MappingNode):
         raise ExperimentError(f"{path} is not a list of `key: value` lines; see the example in the README")
@@ -227,7 +227,7 @@ def _not_yaml(path: Path, error: Exception) -> ExperimentError:
 
 
 def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
-    """Yield two YAML nodes for each key that a mapping, at any depth, repeats: its first and later place."""
+    """Yield two YAML nodes for each key that is repeated in a mapping, at any depth: the first and second."""
     seen: dict[str, yaml.Node] = {}
     for part in node.value if isinstance(node, yaml.CollectionNode) else ():
         key, value = part if isinstance(part, tuple) else (None, part)
@@ -240,7 +240,8 @@ def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
 
 
 def file_and_line(path: Path, location: Sequence[Key]) -> str:
-    """Return "FILE, line N" for a value; `location` are the keys and indices that lead to this value."""
+    """Return the text "FILE, line N" for the value to which keys and indices (`location`) lead.
+    If none of them is in the file, the text is the file alone."""
     line = _line(_compose(path), location)
     return f"{path}, line {line}" if line else str(path)
 

@@ -14,7 +14,7 @@ def lazy_names(
     package: str, init_file: str
 ) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
     """Return the public names of a package, sorted, and functions for its `__getattr__` and `__dir__`.
-    They are the names that the stub (.pyi) next to `init_file`, the package's ``__init__.py``, imports."""
+    The names are those that the stub (.pyi) next to `init_file`, the package's ``__init__.py``, imports."""
     stub = ast.parse(Path(init_file).with_suffix(".pyi").read_text(encoding="utf-8"))
     places = {
         alias.asname or alias.name: (statement.module or "", alias.name)

@@ -34,7 +34,8 @@ def one_thread() -> Generator[None]:
 
 
 def _take_control() -> None:
-    """Let this thread set the number of BLAS threads: since 3.8, threadpoolctl obeys only one thread."""
+    """Let the calling thread set the number of BLAS threads.
+    Since version 3.8, threadpoolctl obeys only one thread, so it must forget the earlier one."""
     openblas: Any = getattr(threadpoolctl, "OpenBLASController", None)
     if clear := getattr(openblas, "clear_controlling_thread", None):
         clear(force=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def spell_time(seconds: float) -> str:
-    """Return a duration in words for people: 8 s, 3 min 05 s, 2 h 10 min."""
+    """Return a duration as text, such as "8 s", "3 min 05 s" or "2 h 10 min"."""
     if 0 < seconds < 0.95:
         return f"{seconds:.1g} s"
     whole = round(seconds)
@@ -19,7 +19,8 @@ def spell_time(seconds: float) -> str:
 
 
 def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
-    """Return sorted integers as text with ranges, "1-3, 7"; at most `most` ranges are listed."""
+    """Return sorted integers as text with ranges, such as "1-3, 7".
+    At most `most` ranges are listed; the text ends with the number of the others."""
     ranges: list[list[int]] = []
     for number in numbers:
         if ranges and number == ranges[-1][1] + 1:

@@ -1,4 +1,4 @@
-"""LaVision's DaVis: images of `.im7` buffers, read by LaVision's own package where that is installed."""
+"""Read images of LaVision's DaVis (`.im7` buffers) by LaVision's own package, if it is installed."""
 
 import struct
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""TIFF files, decoded by tifffile and imagecodecs.
+"""Read TIFF files, decoded by tifffile and imagecodecs.
 
 Images stay as the sensor recorded them: orientation tags are ignored, because a rig belongs to the images as
 stored. Values are inverted if the tags say that 0 is white, so that large values are always bright.
@@ -90,7 +90,8 @@ def _is_frame(page: tifffile.TiffPage) -> bool:
 
 
 def refuse_page(page: Any, name: str) -> None:
-    """Raise FrameError unless a page is a grey or colour image of real numbers that can be decoded."""
+    """Raise FrameError if a page of the file `name` is of a kind that is not supported.
+    Supported are grey and colour images of real numbers, with a compression that tifffile decodes."""
     if page.dtype is not None and page.dtype.kind == "c":
         raise FrameError(f"{name} has complex pixels; save their magnitudes")
     if page.imagedepth > 1:

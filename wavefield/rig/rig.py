@@ -153,7 +153,7 @@ class Rig:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "Rig":
-        """Build a rig from the content of its YAML file; RigError if a camera is incomplete or invalid.
+        """Build a rig from the content of a rig's YAML file; RigError if a camera is incomplete or invalid.
         Lengths must be in m, pixels in px and angles in rad."""
         units = data.get("units") or {}
         for what, unit in units.items():

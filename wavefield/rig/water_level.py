@@ -75,8 +75,8 @@ def fit_plane(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> WaterPlane:
 
 def level(rig: Rig, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Rig, WaterPlane]:
     """Return a rig in a frame whose plane z = 0 is fitted to points of still water, and the fitted plane.
-    x, y, z are the points in the present frame of the rig, metres. The fitted plane is in the same frame or,
-    if this is tilted by over 10 degrees, in a frame that was first turned roughly onto the water."""
+    x, y, z are the points in the present frame of the rig, metres. The fitted plane is given in the present
+    frame or, if this is tilted by over 10 degrees, in a frame that is first turned roughly onto the water."""
     points, finite = _points(x, y, z)
     axes, origin = _frame_on_plane(rig, points[finite])
     tilt = float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))))

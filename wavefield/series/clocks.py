@@ -1,4 +1,4 @@
-"""Cameras' clocks: rates and times in recordings, time stamps, and frame numbers from them."""
+"""The clocks of cameras: frame rates and times in recordings, time stamps, and frame numbers from times."""
 
 from collections.abc import Mapping
 from contextlib import closing
@@ -25,9 +25,10 @@ DEPARTURE_STEP = 1e-4  # intervals: delays are rounded to this, which changes ve
 
 
 def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times | None:
-    """Return the times of a camera's images, (n,), s, as stated by its recordings; None if they are unusable.
-    A video states playback times, which are scaled so that the usual interval is one frame interval.
-    ExperimentError if the time stamps of another recording contradict the frame rate, Hz."""
+    """Return the times of a camera's images, (n,), s, that its recordings in `folder` state.
+    None if times are missing or do not increase, or if there are several videos. The playback times of one
+    video are scaled so that the usual interval between frames is that of `frame_rate`, Hz. ExperimentError if
+    the time stamps of recordings that are not videos contradict `frame_rate`."""
     parts, paths, header = [], recordings_of(images, camera, folder), ""
     for path in paths:
         try:
@@ -47,9 +48,10 @@ def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> T
 
 def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     """Raise ExperimentError if increasing time stamps, (n,), s, contradict a frame rate, Hz.
-    Their mean interval, without intervals across dropped frames, may differ from the frame interval by 1 %,
-    or by its own uncertainty if that is larger: the range of the intervals over their number. The message
-    begins with `words`, in which ``{rate:g}`` is replaced by the rate of the time stamps."""
+    The mean interval between time stamps, without intervals across dropped frames, may differ from the frame
+    interval by 1 %, or by the uncertainty of this mean if that is larger: the range of the intervals over
+    their number. The message begins with `words`, in which ``{rate:g}`` is replaced by the rate of the time
+    stamps."""
     usual = usual_intervals(times)
     if not len(usual):
         return
@@ -66,7 +68,7 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
 
 def read_time_stamps(path: Path, camera: str) -> Times:
     """Return the times in a file, (n,), s: one time per line, or a CSV file with a column ``time``.
-    ExperimentError, which names the `camera`, if the file has anything but increasing numbers."""
+    ExperimentError, which names the `camera`, if the times are not increasing numbers."""
     times: list[float] = []
     column, columns = 0, 1
     for number, line in numbered_lines(path, f"the time stamps of {camera}"):
@@ -127,10 +129,10 @@ def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
 
 
 def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
-    """Return the delay of each frame relative to even times, (n,), in frame intervals; None without delays.
+    """Return the delay of each frame relative to evenly spaced times, (n,), in frame intervals.
     It is the mean over the cameras' clocks, after the offset and the rate of each clock are removed. Since
     cameras are triggered together, differences between their clocks are noise of the time stamps; the mean is
-    scaled down by the estimated share of this noise."""
+    scaled down by the estimated share of this noise. None if no camera has times, or if all delays are 0."""
     each = [
         found
         for one in series.values()
@@ -151,10 +153,11 @@ def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
 
 
 def departures_by_clock(times: Times) -> Times | None:
-    """Return the delay of each frame relative to even times, (n,), in frame intervals, by one clock.
-    `times` (n,), s, are NaN for frames without a time, and so are their delays. A delay is the distance of a
-    time from the regression line of time on frame number; all are 0 if none exceeds the resolution of the
-    times. None if there are fewer than three times, or if a delay exceeds a quarter of an interval."""
+    """Return the delay of each frame relative to evenly spaced times, (n,), in frame intervals, by one clock.
+    `times` (n,), s, are NaN for frames without a time, and so are the delays of these frames. A delay is the
+    distance of a time from the regression line of time on frame number; all delays are 0 if none exceeds the
+    resolution of the times. None if there are fewer than three times, or if a delay exceeds a quarter of a
+    frame interval."""
     there = np.flatnonzero(np.isfinite(times))
     if len(there) < 3:
         return None
@@ -179,7 +182,7 @@ def _resolution(times: Times) -> float:
 
 
 class Stated(NamedTuple):
-    """Properties of a recording, from its header."""
+    """What a recording states: its frame rate, whether it is a video, and how a video is to be rotated."""
 
     rate: float | None  # Frames per second (for a video, of its playback); None if not stated
     is_video: bool
@@ -187,8 +190,10 @@ class Stated(NamedTuple):
 
 
 def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[str, Stated]:
-    """Return the properties of each camera's first readable recording, by the camera's name.
-    `cameras` is the block ``cameras`` of the experiment file as plain data."""
+    """Return the frame rate, kind and rotation of the first recording of each camera, by camera name.
+    `cameras` is the block ``cameras`` of the experiment file as plain data, and paths in it are relative to
+    `folder`. Only the first recording of a camera is opened. Cameras without recordings are left out, and so
+    are those whose first recording cannot be read."""
     found = {}
     for name, camera in cameras.items():
         images = camera.get("images") if isinstance(camera, Mapping) else camera
@@ -210,15 +215,16 @@ def is_video(path: Path) -> bool:
 
 def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
     """Return the paths of a camera's recordings, in order; empty if one of its files is not a recording.
-    Only the names are looked at; the files need not exist."""
+    `images` is the camera's entry in the experiment file, with paths relative to `folder`. Only the endings
+    of the names are looked at, so the files need not exist."""
     names = images if isinstance(images, list) else [images]
     paths = [folder / name.replace("{camera}", camera) for name in names if isinstance(name, str)]
     return paths if len(paths) == len(names) and all(map(recording_path, paths)) else []
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
-    """Return the frame rate, Hz, that the recordings of all cameras share; None if `rates` is empty.
-    ExperimentError, which names the experiment file `path`, if rates differ by more than 1 %."""
+    """Return the frame rate, Hz, from those of the cameras' recordings (`rates`); None if there are none.
+    ExperimentError, which names the experiment file `path`, if two rates differ by more than 1 %."""
     if not rates:
         return None
     (first, rate), *others = rates.items()
@@ -232,5 +238,5 @@ def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
 
 
 def is_alike(one: float, other: float) -> bool:
-    """Whether two rates agree within 1 %."""
+    """Whether two frame rates agree within 1 %."""
     return abs(one - other) <= RATE_DISAGREEMENT * abs(other)

@@ -29,7 +29,8 @@ class FrameWarning(UserWarning):
 
 
 class FrameArray(BackendArray):
-    """The images of one camera as a lazy array (time, row, column); a bad frame gives zeros and a warning."""
+    """The images of one camera as a lazy array (time, row, column).
+    For a missing or bad frame it gives zeros and a FrameWarning."""
 
     def __init__(self, series: FrameSeries) -> None:
         self.series = series

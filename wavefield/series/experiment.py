@@ -232,7 +232,7 @@ class Experiment(RecordSection):
 
     @property
     def rig_paths(self) -> list[Path]:
-        """Absolute paths of the rig files in the experiment file; by default of ``rig.yaml`` next to it."""
+        """Absolute paths of the rig files; without the key ``rig``, of ``rig.yaml`` next to this file."""
         named = list(self.rig.values()) if isinstance(self.rig, dict) else [self.rig or "rig.yaml"]
         return [self.resolve(file) for file in named]
 
@@ -246,7 +246,8 @@ class Experiment(RecordSection):
         path : path, optional
             Rig file, in place of the one that the experiment names.
         series : mapping of str to FrameSeries, optional
-            The frames of each camera, to check the size of the images; some rig files do not state it.
+            The frames of each camera. Their size must agree with the size in a rig file of wavefield; with a
+            file of another program it is used instead of the size in the file.
 
         Raises
         ------

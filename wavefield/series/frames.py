@@ -19,7 +19,7 @@ Outline = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class CameraMask:
-    """Pixels of one camera that are masked."""
+    """Which pixels of a camera's images are masked: those inside outlines, and those of mask images."""
 
     shape: tuple[int, int]  # (rows, columns) of its images
     outlines: tuple[Outline, ...] = ()  # Closed outlines of corners (column, row), px; their inside is masked
@@ -72,7 +72,7 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameSeries:
-    """Frames of one camera, at their places in time.
+    """The frames of one camera over a range of frame numbers; index 0 is the first number of the range.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class FrameSeries:
         return self.first + np.flatnonzero([entry is None for entry in self.entries])
 
     def place(self, index: int) -> str:
-        """Return camera, frame number and file of the frame at an index, for a message."""
+        """Return the camera, frame number and file of the frame at an index as text, for a message."""
         entry = self.entries[index]
         return f"{self.camera} frame {self.first + index}" + (f" ({entry})" if entry else "")
 
@@ -158,9 +158,10 @@ class FrameSeries:
 
 
 def is_interlaced(series: FrameSeries) -> bool:
-    """Whether odd and even rows of a camera's images were exposed at two moments, by up to five frames.
-    With the rms difference D_k of rows k apart, D_1 D_4 / D_2^2 is 0.7 to 1 in an image of one moment, and
-    about 1.1 if beads moved between the two. The ratio of a colour mosaic is as high for columns."""
+    """Whether odd and even rows of a camera's images were exposed at two moments; up to five are examined.
+    Let D_k be the rms difference between rows k apart. D_1 D_4 / D_2^2 is 0.7 to 1 in an image of one moment,
+    and about 1.1 if beads moved between two moments. In a colour mosaic it is as high for columns, so images
+    with a high ratio for columns do not count."""
     found = []
     for index in np.unique(np.linspace(0, len(series) - 1, 5).astype(int)):
         image = series.read(int(index)).image
@@ -179,7 +180,8 @@ def subtracted(image: NDArray[Any], background: NDArray[Any]) -> NDArray[Any]:
 
 
 def check_content(image: np.ndarray, place: str) -> Frame:
-    """Return an image as a `Frame`, with a fault if it is blank or has pixels that are not finite."""
+    """Return an image as a `Frame`, or only a fault if the image is blank or has pixels that are not finite.
+    `place` is the text (camera, frame number, file) that names the frame in the message."""
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())
         return Frame(None, FrameFault.UNREADABLE, f"{place} has {bad} pixels that are not finite numbers")

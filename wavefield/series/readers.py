@@ -44,7 +44,8 @@ def read_entry(entry: FrameEntry) -> np.ndarray:
 
 
 def count_images(name: str | Path) -> tuple[Kind, int]:
-    """Return ("file", 1) for a file of one image, else ("images", number of images in the file or store)."""
+    """Return ("file", 1) for a file of one image, else ("images", number of images in the file or store).
+    FrameError if it is missing or damaged."""
     refuse_pipe(name, FrameError)
     path = Path(name)
     single = recording_path(path) is None and path.suffix.lower() not in (*TIFF_ENDINGS, ".zarr")

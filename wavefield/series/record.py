@@ -29,7 +29,7 @@ Times = NDArray[np.float64]
 def open_record(
     record: RecordSection, path: Path, folder: Path, measuring: Sequence[str]
 ) -> dict[str, FrameSeries]:
-    """Return the frames of every camera, over the frame numbers that all cameras `measuring` span.
+    """Return the frames of every camera, over the frame numbers that the cameras in `measuring` all span.
     The key ``frames`` of the experiment file, `path`, replaces this range. `folder` is the folder of the
     images. ExperimentError if images are missing or cannot be numbered, or if the range has fewer than two
     numbers."""
@@ -54,7 +54,7 @@ def open_record(
 
 
 def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int, last: int) -> None:
-    """Raise ExperimentError if the frame numbers `first` to `last` are far more than the frames.
+    """Raise ExperimentError if there are far fewer frames than frame numbers from `first` to `last`.
     The limits are 100 numbers per frame and five million numbers. A negative `first` must not precede all
     frames. `numbered` holds the frames of each camera by number."""
     lowest = min(min(frames) for frames in numbered)

@@ -4,7 +4,8 @@ from pathlib import Path
 
 
 def beside(store: Path, kind: str, ending: str) -> Path:
-    """Return the default path of an output made from a cube: ``waves.zarr`` from ``cube.zarr``.
-    The name is the cube's with `kind` in place of "cube", or appended (``run7_waves.zarr``), and `ending`."""
+    """Return the default path of an output made from the cube `store`, in the same folder.
+    In the name of the cube, `kind` takes the place of "cube" (``waves.zarr`` for ``cube.zarr``), or else is
+    appended (``run7_waves.zarr`` for ``run7.zarr``). The file name ends with `ending`."""
     stem = store.name.removesuffix(".zarr")
     return store.with_name((stem.replace("cube", kind) if "cube" in stem else f"{stem}_{kind}") + ending)

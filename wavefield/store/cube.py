@@ -80,7 +80,8 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
 
 def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
-    """Open the variables of a cube as they are stored, lazily; the parameters are those of `open_cube`."""
+    """Open every variable in a cube's store, lazily; the parameters are those of `open_cube`.
+    Coordinates and attributes that `open_cube` adds are absent."""
     path = find_store(path)
     layout = read_layout(open_group(path))
     if chunks == "auto":
@@ -148,8 +149,8 @@ class CubeAccessor:
         self._cube = cube
 
     def flagged(self, name: str) -> xr.DataArray:
-        """Return where `quality` has a flag, one of its ``flag_meanings``: a DataArray of bool, (time, y, x).
-        ValueError if there is no such flag."""
+        """Return where the variable ``quality`` has a flag: a DataArray of bool, (time, y, x).
+        `name` is one of its ``flag_meanings``, such as "masked"; ValueError if there is no such flag."""
         flags = {flag.name.lower(): flag for flag in Quality if flag.name}
         if name not in flags:
             raise ValueError(f"quality has no flag {name!r}; it has {', '.join(flags)}")

@@ -195,7 +195,7 @@ _CHUNK_FILES = {"frame_fault": "c/0/{}", "frame_status": "c/{}"}  # fields have 
 
 @contextmanager
 def named_damage(array: Path) -> Iterator[None]:
-    """Context manager: replace an error while reading damaged bytes of an array by a StoreError.
+    """Context manager: turn an error from reading damaged bytes of an array into a StoreError.
     The message names `array`, the path of the array in the store."""
     try:
         yield

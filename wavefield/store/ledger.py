@@ -28,7 +28,7 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class BadFrames:
-    """Frames of one camera that share a fault."""
+    """Frames of one camera that have the same fault."""
 
     camera: str  # Name of the camera
     fault: FrameFault  # Kind of fault

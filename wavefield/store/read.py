@@ -18,7 +18,7 @@ from wavefield.text import one_line
 
 
 class CubeStore(LocalStore):
-    """The files of a cube, as Zarr reads them; a file that was lost raises StoreError.
+    """The store from which Zarr reads the files of a cube; reading a file that was lost raises StoreError.
 
     Zarr alone would return missing values. A file whose steps are still to be measured may be absent.
     """
@@ -38,7 +38,7 @@ class CubeStore(LocalStore):
         return [await self.get(key, prototype, part) for key, part in key_ranges]
 
     def _refuse_absent(self, key: str) -> None:
-        """Raise StoreError if an absent file should be there; `key` is its path in the store."""
+        """Raise StoreError if the cube should contain the absent file `key`, a path in the store."""
         name, _, place = key.partition("/c/")
         if not place:
             return  # not a chunk

@@ -64,7 +64,7 @@ class Recipe:
 
     @property
     def hash(self) -> str:
-        """Sixteen hexadecimal digits that identify the entries on which values of the cube depend.
+        """A hash (sixteen hexadecimal digits) of the entries on which the values of the cube depend.
         They exclude the experiment's name, the learned `record` and the versions of the software."""
         values = {name: value for name, value in asdict(self).items() if name not in _LABELS}
         text = json.dumps(values, sort_keys=True, separators=(",", ":"))
@@ -72,7 +72,7 @@ class Recipe:
 
 
 def _software() -> dict[str, str]:
-    """Return the versions of wavefield, Python and libraries, by name."""
+    """Return the versions of wavefield, Python and the main libraries, by name."""
     packages = ("numpy", "scipy", "numba", "opencv-python-headless", "zarr")
     versions = {name: version(name) for name in packages}
     return {"wavefield": __version__, "python": platform.python_version()} | versions
@@ -88,7 +88,8 @@ def differences(old: str, new: str) -> list[str]:
 
 
 def _leaves(data: object, prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield the dotted key and the value of every entry of nested mappings; `prefix` begins all keys."""
+    """Yield the key ("grid.step") and the value of every entry of nested mappings.
+    All keys begin with `prefix`."""
     if isinstance(data, dict):
         for key, value in data.items():
             yield from _leaves(value, f"{prefix}.{key}" if prefix else str(key))

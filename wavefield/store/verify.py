@@ -21,7 +21,7 @@ from wavefield.text import spell_ranges
 
 @dataclass(frozen=True)
 class Damage:
-    """Damage of one chunk of one variable."""
+    """Damage of one variable in one chunk of steps: a file is missing or was changed."""
 
     variable: str
     start: int  # First step of the chunk
@@ -31,7 +31,7 @@ class Damage:
 
 @dataclass(frozen=True)
 class Verification:
-    """Result of `verify`: the damage in a store."""
+    """Result of `verify`: what is missing or damaged in a store, and how many steps it has."""
 
     store: Path
     steps: int = 0  # Steps of the whole run; 0 for waves and smoothed fields

@@ -1,4 +1,4 @@
-"""The table of all variables in cubes, wave stores and frames: attributes, checks, documentation."""
+"""The table of all variables in cubes, wave stores and frames, for attributes, checks and documentation."""
 
 from wavefield.variables.cube import (
     AROUND,

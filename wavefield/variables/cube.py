@@ -8,7 +8,7 @@ from wavefield.variables.table import CUBE_DIMS, TABLE, Variable, register
 
 
 class Quality(IntFlag):
-    """Bits of ``quality`` in a cube. They tell how the value at a node was obtained."""
+    """Bits of the variable ``quality`` of a cube, which tell how the values at a node were obtained."""
 
     MEASURED = 1  # measured by matching images
     FILLED = 2  # interpolated from neighbouring nodes
@@ -35,7 +35,7 @@ class Quality(IntFlag):
 
 
 class FrameStatus(IntEnum):
-    """Values of ``frame_status`` in a cube. They tell for every step whether it was measured."""
+    """Values of the variable ``frame_status`` of a cube, which tell whether a step was measured."""
 
     NOT_STARTED = 0  # not measured yet
     DONE = 1

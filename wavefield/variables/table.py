@@ -91,7 +91,7 @@ class Variable:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes that are written to a store."""
+        """Attributes of the variable in a store: long name, units, standard name, comment, and others."""
         out: dict[str, Any] = {"long_name": self.long_name}
         if self.units:
             out["units"] = self.units
@@ -167,9 +167,9 @@ def _lazy(array: "xr.DataArray") -> Any:
 
 
 def validate(dataset: "xr.Dataset", *names: str) -> "xr.Dataset":
-    """Return the named variables of a dataset with the dimensions, units and types of the table.
-    Units are converted (cm to m). Data on disk stay there until they are read. CubeError if a variable is
-    absent or its dimensions, type or units do not fit."""
+    """Return the named variables of a dataset, with dimensions in the order and units of the table.
+    Units are converted (cm to m), and floating-point variables get a common type. Data on disk stay there
+    until they are read. CubeError if a variable is absent, or if its dimensions, type or units do not fit."""
     out = {}
     for name in names:
         row = TABLE[name]

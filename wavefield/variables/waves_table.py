@@ -24,7 +24,7 @@ ELEVATION_UNITS = "m2 s rad-1"
 
 def density_units(unit: str, *over: str) -> str:
     """Return the units of the power spectral density of a quantity, given in `unit`, over some axes.
-    `over` has "k" or "omega" for each axis.
+    `over` names the axes, each "k" or "omega".
 
     Examples
     --------

@@ -113,7 +113,7 @@ def load_rig(
 
 
 def _imported(path: Path, options: ImportOptions) -> Rig | None:
-    """Read a rig that another program wrote; returns None for a folder or for wavefield's own file."""
+    """Read a rig that another program wrote; return None for a folder or for wavefield's own file."""
     if path.is_dir():
         return None
     if path.suffix == ".mat" and path.exists():

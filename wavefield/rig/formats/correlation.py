@@ -1,4 +1,4 @@
-"""XML files of VIC-3D and DICe, two programs of digital image correlation; lengths in millimetres."""
+"""Read XML files of VIC-3D and DICe, programs of digital image correlation; lengths in millimetres."""
 
 import re
 import xml.etree.ElementTree as ET

@@ -1,4 +1,4 @@
-"""Calibration.xml of DaVis with pinhole cameras ("PinholeOpenCV"), lengths in millimetres.
+"""Read Calibration.xml of DaVis, with pinhole cameras ("PinholeOpenCV") and lengths in millimetres.
 
 LaVision does not document the file. According to public readers, one of which reproduces DaVis' own FitError
 to fourteen digits, the rotation is R = Rz Ry Rx, and FocalLengthPixel is in millimetres.

@@ -1,4 +1,4 @@
-"""MATLAB's .mat files: results of Bouguet's toolbox, and structs of MATLAB's Camera Calibrator."""
+"""Read and write .mat files: results of Bouguet's toolbox, and structs of MATLAB's Camera Calibrator."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""OpenCV's YAML or XML files, with the node names that its samples and common programs use."""
+"""Read and write OpenCV's YAML or XML files, with node names of OpenCV's samples and common programs."""
 
 import re
 from collections.abc import Mapping
@@ -33,7 +33,8 @@ Parts = dict[str, Array]  # nodes of one camera: K, D, size or width and height,
 
 
 def _nodes(path: Path) -> Nodes:
-    """Read the names and values of the matrices and numbers in the upper two levels of a file."""
+    """Return the names and values of the matrices and numbers in the upper two levels of a file.
+    Names are in lower case, and have only letters and digits."""
     text = path.read_text(errors="replace")
     if not text.endswith(("\n", "]", ">")):  # OpenCV does not report that a YAML file was cut
         raise RigError("it ends within a line: it is truncated; copy it again")
@@ -84,8 +85,8 @@ def _parts_of_cameras(nodes: Nodes) -> dict[str, Parts]:
 
 
 def _part(stem: str, value: Array) -> str:
-    """Return the key of a node in `Parts`, or "" if it is no part of a camera.
-    `stem` is the name of the node without the camera's number."""
+    """Return the key in `Parts` for a node of the file, or "" if the node does not describe a camera.
+    `stem` is the name of the node without the camera's number, `value` its content."""
     if value.shape == (3, 3) and stem in MATRICES and value[2, 2] == 1.0:
         return "K"
     if stem in DISTORTIONS and value.size in (4, 5, 8, 12, 14):
@@ -101,7 +102,7 @@ def _part(stem: str, value: Array) -> str:
 
 def load_opencv(path: Path, options: ImportOptions) -> Rig:
     """Read a calibration file of OpenCV with one or several cameras; returns the rig.
-    If a file of intrinsics has one of extrinsics beside it, both are read."""
+    If `path` is a file called intrinsics and the file of extrinsics is next to it, both are read."""
     nodes = _nodes(path)
     if any(name.startswith("fisheyemodel") and value.any() for name, value in nodes):
         raise RigError("its lens is a fisheye, which has no camera model here: calibrate a perspective lens")

@@ -1,4 +1,4 @@
-"""UVMAT's XML files (ImaDoc), one per camera."""
+"""Read and write UVMAT's XML files (ImaDoc), one per camera."""
 
 import xml.etree.ElementTree as ET
 from pathlib import Path

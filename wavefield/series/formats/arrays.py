@@ -1,4 +1,4 @@
-"""Images in HDF5, netCDF 4 and Zarr: arrays of three dimensions, time, row, column."""
+"""Read images in HDF5, netCDF 4 and Zarr: arrays with the dimensions time, row, column."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ def _times(data: h5py.Dataset) -> Times:
 
 def open_hdf5(path: Path) -> Recording:
     """Open a stack of images in an HDF5 file; FrameError if the file or the dataset cannot be read.
-    `path` is the file, or file/dataset if it holds several stacks. The rate is the attribute ``frame_rate``,
-    else derived from the times."""
+    `path` is the file, or file/dataset if the file holds several stacks. The frame rate of the recording is
+    the attribute ``frame_rate``, or else follows from the times."""
     import h5py
 
     name = next(part for part in (path, *path.parents) if part.suffix.lower() in _ENDINGS)

@@ -1,4 +1,4 @@
-"""Vision Research's Phantom: `.cine` files, as "The Cine File Format" describes them."""
+"""Read `.cine` files of Vision Research's Phantom, as "The Cine File Format" describes them."""
 
 import struct
 from pathlib import Path

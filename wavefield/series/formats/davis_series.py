@@ -1,4 +1,4 @@
-"""LaVision's DaVis: a `.set` of `.im7` buffers in the folder of the same name."""
+"""Read sets of LaVision's DaVis: a `.set` file, and `.im7` buffers in the folder of the same name."""
 
 import re
 from pathlib import Path

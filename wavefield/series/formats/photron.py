@@ -1,4 +1,4 @@
-"""Photron: pixels in `.mraw`, their format in the `.cihx` (XML) or `.cih` (text) of the same name."""
+"""Read recordings of Photron: pixels in `.mraw`, their format in `.cihx` (XML) or `.cih` (text)."""
 
 import re
 import xml.etree.ElementTree as ET

@@ -83,7 +83,7 @@ class RawRecording:
 
 
 def usual_intervals(times: Times) -> Times:
-    """Return the intervals between times, s, that differ from their median by less than half of it.
+    """Return the intervals between times, s, that differ from the median interval by less than half of it.
     These are the intervals without dropped images. The array is empty if the median is not positive."""
     intervals = np.diff(times)
     middle = float(np.median(intervals)) if len(intervals) else 0.0

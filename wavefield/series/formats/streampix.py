@@ -1,4 +1,4 @@
-"""NorPix' StreamPix: `.seq` files of uncompressed grey images."""
+"""Read `.seq` files of NorPix' StreamPix with uncompressed grey images."""
 
 import struct
 from pathlib import Path

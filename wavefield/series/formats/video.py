@@ -82,7 +82,8 @@ class Video:
         return np.array(self._stamps, float) * float(base or 1.0) - self._stamps[0] * float(base or 1.0)
 
     def _rate(self, times: Times) -> float | None:
-        """Return the frames per second, from `times`, s, with four digits, else as the container states."""
+        """Return the frames per second, from `times`, s, to four significant digits.
+        Without times it is the rate that the container states, or None."""
         if self._timed and self.count > 1:
             return float(f"{1 / usual_interval(times):.4g}")
         return float(self._stream.guessed_rate or self._stream.average_rate or 0) or None
@@ -104,7 +105,7 @@ class Video:
         raise FrameError(f"{self.path}, image {index}: cannot be decoded; is it damaged?")
 
     def _key(self, stamp: int) -> int:
-        """Return the time of the last key frame, coded without others, at or before `stamp`, in ticks."""
+        """Return the time, in ticks, of the last key frame (coded without others) at or before `stamp`."""
         return max((pts for pts, _ in self._keys if pts <= stamp), default=self._stamps[0])
 
     def _seek(self, stamp: int) -> None:
