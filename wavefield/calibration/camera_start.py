@@ -107,7 +107,7 @@ def plane_pose(H: Array, K: Array) -> Pose:
 
 
 def calibrate_single(observations: Observations) -> SingleCamera:
-    """Calibrate one camera alone; the start is Zhang's method or known node positions, if there are any.
+    """Calibrate one camera alone; start values come from known node positions, or else from Zhang's method.
     Raises a CalibrationError if the views do not determine the focal length."""
     o = observations
     start, poses = _from_known_heights(o) if o.placed else _from_planes(o)
@@ -331,7 +331,8 @@ class PhysicalFrame:
 
 def physical_frame(observations: Observations, flat: str, findings: Findings) -> PhysicalFrame:
     """Choose poses that define the rig's frame: those of known position, or else `flat`, or the most seen.
-    `flat` is the name of the pose on z = 0, or empty. If it is not found, that is recorded in `findings`."""
+    `flat` is the name of the pose on z = 0, or empty. If there is no such pose, `findings` gets a problem or
+    note."""
     o = observations
     if o.placed:
         return PhysicalFrame(o.placed[0], placed=o.placed)
@@ -377,6 +378,6 @@ def start_geometry(
         q = frame.reference
         c, d = pose_R[q][:2, 0] / np.hypot(*pose_R[q][:2, 0])
         pose_R[q], pose_t[q, 2] = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]]), 0.0
-    for q in frame.placed:  # their nodes are given in the physical frame
+    for q in frame.placed:  # the positions of their nodes are given in the rig's frame
         pose_R[q], pose_t[q] = np.eye(3), 0.0
     return Geometry(lens, R, T, pose_R, pose_t, np.zeros((len(o.nodes), 3)))

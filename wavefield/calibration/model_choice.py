@@ -16,8 +16,9 @@ CELLS = 8  # along each side of an image; the coverage is the fraction of cells 
 
 @dataclass(frozen=True)
 class PredictedErrors:
-    """Standard uncertainties of projected positions and of z that are due to the calibration.
-    They hold in the volume where the rig will be used."""
+    """Standard uncertainties of projected positions and of z that are due to the calibration, and coverage.
+    They hold in the volume where the rig will be used; coverage is the fraction of each image that targets
+    cover."""
 
     reprojection: Mapping[str, float]  # Of a projected point, px, by camera; rms over volume and axes
     z_std: float  # Of z, metres, rms over the volume; NaN for one camera
@@ -58,7 +59,7 @@ def project_points(observations: Observations, result: Fit, points: Array) -> tu
     These are by parameter of the fit, (C, n, 2, p), and by position of the point, (C, n, 2, 3), px/m."""
     o = observations
     C, n = len(o.cameras), len(points)
-    # treat the points as a target whose pose is fixed in the physical frame
+    # treat the points as a target whose pose is fixed in the frame of the rig
     probe = Observations.of_points(o.cameras, o.sizes, (*o.poses, "volume"), n)
     geometry = replace(result.geometry.with_pose(np.eye(3), np.zeros(3)), offset=points)
     plan = result.layout.with_pose("volume", free=False)

@@ -23,7 +23,7 @@ class CalibrationLimits:
     min_nodes: int = 12  # in a view: 24 coordinates, three times the parameters of a homography
     min_tilt_range: float = 10.0  # degrees between a camera's views; below it the focal length is uncertain
     max_reprojection_std: float = 0.3  # px: predicted for projected points where the rig will be used
-    max_z_std: float = 1e-3  # m: predicted uncertainty of z there
+    max_z_std: float = 1e-3  # m: predicted for z where the rig will be used
     max_distance_error: float = 0.05  # relative, of a camera's distance from the origin measured by hand
     min_coverage: float = 0.4  # fraction of an image that the target covers; below it a note is made
 
@@ -55,7 +55,7 @@ class Findings:
 class Observations:
     """All n observations of a target: each is the pixel of one of N nodes, in one pose, in one camera."""
 
-    cameras: tuple[str, ...]  # Names; `camera` below holds indices of them, as `pose` does of `poses`
+    cameras: tuple[str, ...]  # Names; `camera` below holds indices into them, as `pose` into `poses`
     poses: tuple[str, ...]
     sizes: tuple[tuple[int, int], ...]  # Image (width, height) of each camera, px
     nodes: Nodes  # (N, 2): Indices (i, j) of the nodes that were observed
@@ -66,7 +66,7 @@ class Observations:
     node: Nodes  # (n,): Row of `nodes`
     pixel: Array  # (n, 2): Position in the image, px
     std: Array  # (n,): Standard uncertainty per axis, px
-    placed: tuple[int, ...] = ()  # Poses whose nominal positions are in the physical frame
+    placed: tuple[int, ...] = ()  # Poses whose nodes have known positions in the rig's frame
 
     def __len__(self) -> int:
         return len(self.camera)

@@ -246,7 +246,7 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
     Parameters
     ----------
     rig : Rig
-        The calibrated rig; its provenance holds the covariance of the parameters.
+        The calibrated rig. If its provenance holds no covariance of the parameters, defaults are used.
     matches : mapping of camera to array_like, (n, 2)
         Pixels of the same n points of the surface in each camera; NaN where a camera does not see a point.
         The surface may move.
@@ -327,7 +327,7 @@ def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: floa
 
 
 def _refined(problem: SightLineFit, solution: Solution, check: RigCheck) -> Rig:
-    """Return the rig with the cameras of a solution, and `refined` in its provenance."""
+    """Return the rig with the cameras of a solution, and a note ``refined`` on them in its provenance."""
     note = {
         "misfit_before_px": check.misfit,
         "misfit_after_px": solution.misfit,
@@ -343,7 +343,7 @@ def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig,
     Parameters
     ----------
     rig : Rig
-        The calibrated rig; the covariance in its provenance is the prior.
+        The calibrated rig; the covariance in its provenance is the prior, with defaults if there is none.
     matches : mapping of camera to array_like, (n, 2)
         Pixels of the same n points of still water in each camera; NaN where a camera does not see a point.
     std : float, default 0.1

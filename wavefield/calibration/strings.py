@@ -60,7 +60,8 @@ def best_lattice(image: Image) -> tuple[TargetLattice, float]:
 
 
 def _light_along(image: Image, lattice: TargetLattice) -> float:
-    """Return the excess brightness of the lines between nodes times their length, summed, grey px."""
+    """Return the excess brightness along the lines between neighbouring nodes, times length, summed, grey px.
+    The excess is the brightness on a line minus that on both sides of it."""
     place, filled = lattice.place, lattice.filled
     along = np.linspace(0.25, 0.75, 16)[None, :, None]
     total = 0.0

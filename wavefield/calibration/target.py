@@ -60,7 +60,7 @@ class Target:
         Two-level: depth of the second level below the level that holds the origin, m; negative if it is
         above.
     origin : (float, float)
-        Position (x, y) of node (0, 0) in the physical frame when the target lies on z = 0, m.
+        Position (x, y) of node (0, 0) in the frame of the rig when the target lies on z = 0, m.
 
     Raises
     ------

@@ -30,7 +30,8 @@ PATCH_SAMPLES = 25  # along each side of a patch
 
 class PlateLevel:
     """The dots of one level of a stepped plate, with a smooth map from indices `node` (n, 2) to pixels.
-    A dot is at ``2 node + shift`` meshes; `shift` is 0 on the first level and 1 on the second."""
+    A dot is at ``2 node + shift``, in units of the distance between rows of dots on the plate; `shift` is 0
+    on the first level and 1 on the second."""
 
     def __init__(self, node: Nodes, pixel: Array, shift: int = 0) -> None:
         self.node, self.pixel, self.shift = node, pixel, shift
@@ -49,14 +50,15 @@ class PlateLevel:
         return index
 
 
-# origin and unit vectors x and y, in meshes of the first level's lattice, right-handed seen from above
+# origin and unit steps x and y, in distances between rows of dots, right-handed seen from above
 PlateAxes = tuple[Nodes, Nodes, Nodes]
 
 
 def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Array) -> PlateAxes | None:
-    """Return origin and steps x and y, (2,) each, of the axes that a triangle and a square mark, in meshes.
-    The triangle is between dots of `level`, the square between dots of `other`; the origin is the dot next to
-    both. `centre` (n, 2), px, are all bright shapes. Returns None if the marks are not found."""
+    """Return the origin and unit steps x and y, (2,) each, of the axes that a triangle and a square mark.
+    Units are the distance between rows of dots. The triangle is between dots of `level`, the square between
+    dots of `other`, and the origin is the dot next to both. `centre` (n, 2), px, are all bright shapes.
+    Returns None if the marks are not found."""
     near = [cKDTree(one.pixel).query(centre)[0] < 0.1 * one.side for one in (level, other)]
     rest = centre[~near[0] & ~near[1]]
     if len(rest) < 2:
@@ -77,8 +79,8 @@ def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Ar
 
 
 def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
-    """Return the positions (2,), in meshes, of the pixels (n, 2) that are midway between two dots of a level.
-    The keys are the indices of these pixels."""
+    """Return the positions (2,) of the pixels (n, 2) that are midway between two dots of a level.
+    Units are the distance between rows of dots; the keys are the indices of these pixels."""
     mesh = 2 * level.index_of(pixel) + level.shift
     site = np.rint(mesh).astype(np.int64)
     good = (np.abs(mesh - site) < MAX_MISFIT).all(1) & (site.sum(1) % 2 == 1)
@@ -264,7 +266,7 @@ def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
 def _numbered(
     image: Image, marked: PlateLevel, second: PlateLevel, axes: PlateAxes, target: Target
 ) -> TargetPoints:
-    """Return the target points of both levels, with indices in meshes from the origin and along `axes`.
+    """Return the target points of both levels, with indices that count from the origin and along `axes`.
     `marked` is the level that `axes` refer to; it is at z = 0."""
     origin, x, y = axes
 

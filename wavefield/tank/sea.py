@@ -120,7 +120,7 @@ class Sea:
     kx, ky : array_like, (n,)
         Wave vectors, rad/m; they point in the direction of propagation relative to the water.
     amplitude : array_like of complex, (n,)
-        z = Re sum a exp(i (k . x - omega t)), metres.
+        Complex amplitudes a, metres: z = Re sum a exp(i (k . x - omega t)), with omega at a fixed point.
     depth : float, default infinity
         Depth, metres.
     surface_tension : float, default that of clean water
@@ -128,7 +128,7 @@ class Sea:
     current : tuple of float, default (0, 0)
         Uniform velocity of the water, m/s.
     bound : int, default 0
-        Number of free waves, the steepest ones, that have second-order bound waves; 0 for a linear sea.
+        Number of free waves, taken from the steepest, that force second-order bound waves; 0: linear sea.
 
     Examples
     --------

@@ -21,7 +21,7 @@ SHARES_OF_OFFSET = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)  # parts of a board's offset, 
 class Pose:
     """Position and orientation of a target: the point p of the target is at ``rotation @ p + origin``."""
 
-    rotation: Array  # (3, 3): from the axes of the target to the physical axes
+    rotation: Array  # (3, 3): From the axes of the target to those of the world
     origin: Array  # (3,): Position of the target's origin, metres
 
 
