@@ -30,7 +30,7 @@ _BACKSLASH = r"in double quotes \ begins a special character"
 _SLASH = "write / between folders, or single quotes"
 _KNOWN = "; known keys here: "
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
-# of a dataclass that `make` makes: as its ``__pydantic_config__``
+# configuration of a dataclass that `make` checks: its ``__pydantic_config__``
 CHECKED = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 _RESERVED_NAMES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # of devices, on Windows

@@ -35,7 +35,7 @@ def water_of(attributes: Mapping[str, str | float], depth: float | None = None) 
 
 def stated_water(attributes: Mapping[str, Any]) -> dict[str, float]:
     """Return the depth, m, and the surface tension over density, m3/s2, that a cube's attributes state.
-    They are numbers by the names in `WATER`; an absent or infinite value, or the depth "deep", is left
+    They are numbers by attribute name (`WATER`). Absent and infinite values and the depth "deep" are left
     out."""
     given = {name: attributes[name] for name in WATER if attributes.get(name) not in (None, "", "deep")}
     return {name: float(value) for name, value in given.items() if np.isfinite(float(value))}
@@ -90,7 +90,7 @@ def group_velocity(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g:
 
     Examples
     --------
-    Half the phase velocity for long waves over deep water:
+    Half the phase velocity for gravity waves on deep water:
 
     >>> k = 2.0
     >>> round(float(group_velocity(k, gamma=0.0) / (dispersion(k, gamma=0.0) / k)), 6)

@@ -24,8 +24,8 @@ CONVERTED = (np.uint8, np.uint16, np.float32)  # types of colour images that Ope
 
 def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
     """Return an image as grey levels in the file's type, (row, column), from TIFF, PNG, BMP, JPEG or IM7.
-    `page` is the index, from 0, of an image in a file that has several. FrameError if the file is missing,
-    damaged or of another format."""
+    `page` is the index, from 0, of an image in a TIFF or IM7 file that has several. FrameError if the file is
+    missing, damaged or of another format, or if it has several images and `page` is None."""
     path = Path(path)
     refuse_pipe(path, FrameError)
     if path.suffix.lower() == ".im7":
@@ -42,7 +42,8 @@ def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
 
 
 def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
-    """Return a grey image, (row, column), from an open file called `name`; FrameError if it is damaged."""
+    """Return a grey image, (row, column), from the open file `stream`; FrameError if it is damaged.
+    Messages call the file `name`. `page` is that of `read_image`."""
     start = stream.read(4)
     stream.seek(0)
     if start in tiff.STARTS:

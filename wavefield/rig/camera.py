@@ -2,7 +2,8 @@
 
 The physical frame is right-handed, in metres, with z up. In the image X points to the right (column) and Y
 down (row); the centre of the first pixel is (0, 0). The camera frame is Xc = R x + T, with zc along the
-optical axis, away from the camera. Tangents (a, b) = (xc / zc, yc / zc) are those of the viewing angles.
+optical axis, away from the camera. The tangents (a, b) = (xc / zc, yc / zc) of a point are those of the
+angles, along xc and yc, between the optical axis and the sight line of the point.
 """
 
 from collections.abc import Mapping
@@ -203,7 +204,7 @@ class Camera:
         Returns
         -------
         x, y : ndarray
-            Apparent coordinates, metres; NaN if the sight line does not meet the plane.
+            Positions on the plane, metres; NaN if the sight line does not meet the plane.
         """
         a, b = self.tangents(X, Y)
         R, c = self.R, self.centre
@@ -224,7 +225,7 @@ class Camera:
         Parameters
         ----------
         x, y, z : array_like, broadcastable
-            Positions, metres; with z = 0 these are apparent coordinates.
+            Positions, metres; with z = 0, those where the sight lines meet the plane of the still water.
 
         Returns
         -------

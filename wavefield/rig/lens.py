@@ -1,7 +1,8 @@
 """Projection by lens and sensor, with derivatives.
 
-The lens distorts the tangents (a, b) = (xc / zc, yc / zc) of the viewing angles. The sensor, which may be
-tilted (Scheimpflug), turns distorted tangents into pixels. All terms are those of OpenCV.
+(xc, yc, zc) is a point in the frame of a camera, with zc along the optical axis. The lens distorts the
+tangents (a, b) = (xc / zc, yc / zc). The sensor, which may be tilted (Scheimpflug), turns distorted tangents
+into pixels. All terms are those of OpenCV.
 """
 
 import numpy as np

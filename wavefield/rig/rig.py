@@ -1,4 +1,4 @@
-"""A rig: named cameras in one physical frame, its YAML file, and the pairs of cameras that are compared."""
+"""A rig (named cameras in one physical frame), its YAML file, and the pairs of cameras to compare."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -95,7 +95,7 @@ class Rig:
         return html_table(f"Rig of {len(self)} cameras", head, rows)
 
     def moved(self, axes: ArrayLike, origin: ArrayLike, **provenance: object) -> "Rig":
-        """Return the rig in another physical frame.
+        """Return the rig with the same cameras described in another physical frame.
 
         Parameters
         ----------

@@ -13,7 +13,7 @@ from wavefield.rig.rig import Rig
 
 def triangulate(apparent: ArrayLike, sight: ArrayLike) -> tuple[Array, Array, Array, Array]:
     """Find the points x, y, z (...), metres, nearest to the sight lines of N cameras by least squares.
-    Camera k sees the point on the line x = x_k + D_k z. `apparent` holds x_k, the apparent positions on z =
+    Camera k sees the point on the line (x, y) = p_k + D_k z. `apparent` holds p_k, where this line meets z =
     0, metres, and `sight` the sight-line coefficients D_k; both are (N, 2, ...), NaN if a camera does not see
     the point. The last result is the residual of each camera (N, 2, ...), metres on z = 0. The results are
     NaN if the cameras do not determine the point."""
@@ -28,7 +28,7 @@ def triangulate(apparent: ArrayLike, sight: ArrayLike) -> tuple[Array, Array, Ar
         square = np.sum(weight * dD * dD, axis=(0, 1))
         # sight lines within 1e-4 rad of each other do not determine the height
         square = np.where(square > 1e-8 * total[0], square, np.nan)
-        # for two cameras: z = -(dD . d) / |dD|^2 with d = x_2 - x_1 and dD = D_2 - D_1
+        # for two cameras: z = -(dD . dp) / |dD|^2 with dp = p_2 - p_1 and dD = D_2 - D_1
         z = -np.sum(weight * dp * dD, axis=(0, 1)) / square
     x, y = p_mean + D_mean * z
     return x, y, z, p - (np.stack([x, y]) - D * z)

@@ -19,7 +19,7 @@ Image = NDArray[Any]
 
 
 def mean_image(series: FrameSeries, frames: int) -> Image:
-    """Return the mean of at most `frames` evenly spaced frames of a camera, (row, column), in their type.
+    """Return the mean of at most `frames` evenly spaced frames of a camera, (row, column), in the same type.
     Bad frames among them are left out; FrameError if none of them can be read."""
     total, count = np.zeros(series.shape), 0
     for index in evenly_spaced(len(series), frames):

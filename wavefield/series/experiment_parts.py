@@ -54,7 +54,7 @@ class FramesSection(ConfigSection):
 
 
 class RecordSection(ConfigSection):
-    """The record of an experiment: its name, its cameras and their images."""
+    """The record of an experiment: name, frame rate, cameras, images, and the range of frames to use."""
 
     name: Name = Field(examples=["coriolis-07"])
     description: str = ""

@@ -162,7 +162,8 @@ def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> 
 
 
 def _check_elevation(path: Path, name: str, elevation: NDArray[np.float64]) -> None:
-    """Raise ExperimentError if elevations, m, vary by over 40 m, as with -99.99 for missing values."""
+    """Raise ExperimentError if elevations of the probe `name`, m, vary by over 40 m.
+    They do if the unit is wrong, or if missing values are written as -99.99."""
     known = elevation[np.isfinite(elevation)]
     if known.size and np.ptp(known) > LARGEST:
         raise ExperimentError(

@@ -72,7 +72,7 @@ def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int,
 def _place_by_clocks(
     record: RecordSection, numbered: dict[str, Numbered], path: Path, folder: Path
 ) -> tuple[dict[str, Numbered], dict[str, Times]]:
-    """Return the frames of each camera renumbered from their times, and the times, s, of each camera.
+    """Return the frames of each camera, renumbered from the times of the frames, and these times, s.
     The times are those of the key ``times``, or else those in recordings. A camera without times keeps its
     frame numbers, and is absent from the second result. ExperimentError if only some cameras have the key
     ``times``, or if times do not fit the frames."""

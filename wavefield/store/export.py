@@ -32,7 +32,8 @@ _UVMAT_ROLES = {  # variable of the cube: name and role in UVMAT
 
 
 class _Hdf5File(io.FileIO):
-    """A file object that keeps a write error in `failure`, because the HDF5 library would crash on it."""
+    """A file object that keeps the first write error in `failure` instead of raising it.
+    The HDF5 library would crash on an exception."""
 
     failure: OSError | None = None
 

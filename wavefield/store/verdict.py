@@ -25,7 +25,7 @@ WORDS = {"note": "sound", "remark": "sound with remarks", "grave": "not to be tr
 
 @dataclass(frozen=True)
 class Remark:
-    """One finding about a measurement."""
+    """One finding about a measurement, what it means for the results, and what to do."""
 
     subject: str  # What the remark is about: the name of a camera, "probes", "record", ...
     kind: str  # One word for scripts, such as "mirrored"
@@ -37,7 +37,7 @@ class Remark:
 
     @property
     def code(self) -> str:
-        """The word that `wavefield explain` accepts for this kind of remark: `kind` with "-" for spaces."""
+        """The word by which `wavefield explain` finds this kind of remark: `kind` with "-" for spaces."""
         return re.sub(r"[^a-z0-9]+", "-", self.kind.lower()).strip("-")
 
     def __str__(self) -> str:

@@ -74,7 +74,7 @@ class Variable:
     """One variable of a dataset: its name, dimensions, units, type and attributes."""
 
     name: str  # Name in the dataset
-    dims: tuple[str, ...]  # Dimensions, in order; the usual ones if the variable occurs with several sets
+    dims: tuple[str, ...]  # Dimensions, in order; the usual ones if they differ between datasets
     units: str  # CF units; "1" for pure numbers, "" if they depend on another variable
     long_name: str  # What it is, for axis labels
     dtype: str = "float32"  # Type in the store
