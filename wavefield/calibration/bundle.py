@@ -109,7 +109,7 @@ def stepped(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
 
 
 def predict(geometry: Geometry, observations: Observations) -> Array:
-    """Return the pixels (n, 2) at which the observed target nodes are for a given geometry."""
+    """Return the pixels (n, 2) that a geometry predicts for the observed target nodes."""
     world = geometry.world(observations)
     pixel = np.empty((len(observations), 2))
     for c, camera in enumerate(geometry.cameras(observations.sizes)):

@@ -113,8 +113,7 @@ def most_central(points: Array, count: int) -> list[int]:
 
 
 def around(node: Nodes, steps: Nodes) -> Nodes:
-    """Return the indices (k, 2) that one of the `steps` (m, 2) from one of the nodes (n, 2) leads to.
-    Each is returned once."""
+    """Return all indices (k, 2) that are one of `node` (n, 2) plus one of `steps` (m, 2), each once."""
     return np.unique((node[:, None] + steps).reshape(-1, 2), axis=0)
 
 

@@ -70,8 +70,9 @@ class Correlation:
             self._sum[i] += np.conj(spectrum[0]) * spectrum[1]
 
     def disparities(self) -> Array:
-        """Return the shift of the second camera's image against the first in each window, (n, m, 2), px.
-        The last axis is x, y. Windows without a clear peak are NaN."""
+        """Return the shift of the second camera's image against the first, (rows, columns, 2), px along x and
+        y.
+        Rows and columns are those of the windows. Windows without a clear peak are NaN."""
         planes = scipy.fft.fftshift(scipy.fft.irfft2(self._sum, s=(self.side, self.side)), axes=(-2, -1))
         smooth = [cv2.GaussianBlur(one, (0, 0), SMOOTHING) for one in planes.reshape(-1, *planes.shape[-2:])]
         return np.array([_centre(np.asarray(one)) for one in smooth]).reshape(*planes.shape[:2], 2)
@@ -252,7 +253,7 @@ def fit_sheet(
     read: Read, instants: Sequence[int], rig: Rig, progress: Callable[[int, int], None] | None = None
 ) -> LightSheet:
     """Find the light sheet from images of particles (Wieneke 2005, Exp. Fluids 39, 267).
-    `read` returns the image of a camera at a frame number, and `instants` are the numbers to use. Each of
+    `read` returns the image of a camera at a frame number; `instants` are the frame numbers to use. Each of
     three passes measures the disparity, corrects the cameras, and moves z = 0 to the sheet."""
     axes, origin, ambiguity = np.eye(3), np.zeros(3), 0.0
     check: RigCheck | None = None

@@ -57,7 +57,7 @@ def find_horizon(mean: NDArray[np.generic], camera: Camera) -> Array | None:
 
 
 def _line(tangents: Array, strength: Array, reach: float) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the edge points on the straight line with the most gradient (RANSAC).
+    """Return a mask (n,) of the edge points on the straight line that gathers the largest gradients (RANSAC).
     `tangents` (n, 2) are undistorted positions and `strength` (n,) gradients of the edge points; `reach` is
     the largest distance from the line, in tangents."""
     rng = np.random.default_rng(0)
@@ -160,8 +160,8 @@ def jackknife_std(
     fit: PlatformFit, matches: Sequence[Instant], horizons: Mapping[str, Array], distance: float | None
 ) -> tuple[float, float]:
     """Return the standard uncertainties of tilt (degrees) and height (m), by leaving out groups of instants.
-    They hold for instants that show different waves. One instant gives NaN, but for the tilt if there is a
-    horizon. `matches` holds matched pixels by pair of cameras, for each instant."""
+    They hold for instants that show different waves. For one instant they are NaN; if there is a horizon,
+    only that of the height is. `matches` holds matched pixels by pair of cameras, for each instant."""
     # leave out successive instants together, because they show the same waves
     groups = np.array_split(np.arange(len(matches)), min(GROUPS, len(matches)))
     first = next(iter(fit.cameras))
@@ -264,7 +264,7 @@ def _residuals(
     instants: int,
 ) -> Array:
     """Return the residuals of matches and of horizon points after a step x, each over its expected size.
-    `kept` and `sizes` belong together; `instants` is the number of instants of the matches."""
+    `sizes` are the results of `_sizes` for the matches `kept`, which come from a number of `instants`."""
     now = _stepped(fit, x, distance)
     out = []
     for one, (noise, expected) in zip(kept, sizes, strict=True):

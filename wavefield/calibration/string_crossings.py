@@ -261,9 +261,10 @@ def _fit_one(
 def _fit_all(
     image: Image, arms: Array, blur: float, band: Array, variance: Pair, p: Array, out: Array
 ) -> None:
-    """Fit all crossings; changes the parameters p (n, 12) and `out` (n, 11) in place.
-    Each row of `out` holds variances of x and y, px^2, four values of each of `arms` and `noise` as in
-    `Crossings`, and residual over noise."""
+    """Fit all crossings; fills the parameters p (n, 12) and the results `out` (n, 11) in place.
+    `arms` (n, 2, 2) and `band` (n,), px, bound the pixels of each crossing. The columns of `out` are two
+    variances, of x and y, px^2, four brightnesses of arms, four values of noise as in `Crossings`, and
+    residual over noise."""
     for k in range(len(p)):
         pixels = _pixels_near(image, p[k], arms[k, 0], arms[k, 1], band[k])
         covariance, brightness, noise = out[k, :2], out[k, 2:6], out[k, 6:10]

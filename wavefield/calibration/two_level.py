@@ -164,8 +164,8 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
 
 def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLevel | None:
     """Return the level with the most dots, if its cells hold dots of another level, or None.
-    `centre` (n, 2), px, and `area` (n,), px^2, belong to the dots of both; `size` is the image's (width,
-    height)."""
+    `centre` (n, 2), px, and `area` (n,), px^2, are of the dots of both levels; `size` is the image's (width,
+    height), px."""
     if len(centre) < 2 * LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)

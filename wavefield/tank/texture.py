@@ -141,8 +141,8 @@ def texture_at(
     seen: VisibleWater, drift: Sequence[RectBivariateSpline], paints: Sequence[Paint], far: float
 ) -> Image:
     """Return the sum of textures that move with the water, (row, column); it fades towards a distance `far`.
-    `drift` holds where the water was at the first frame minus where it is, m, as functions of (y, x): one for
-    x, one for y."""
+    `drift` is the displacement of the water back to its place at the first frame, m, as functions of (y, x):
+    one for x, one for y."""
     width, height = seen.x.shape[1], seen.x.shape[0]
     fine = []
     for place, moved in zip((seen.x, seen.y), drift, strict=True):
