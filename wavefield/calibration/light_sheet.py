@@ -70,9 +70,8 @@ class Correlation:
             self._sum[i] += np.conj(spectrum[0]) * spectrum[1]
 
     def disparities(self) -> Array:
-        """Return the shift of the second camera's image against the first, (rows, columns, 2), px along x and
-        y.
-        Rows and columns are those of the windows. Windows without a clear peak are NaN."""
+        """Return the shift of the second camera's image against the first in each window, px along x and y.
+        The shape is (rows of windows, columns of windows, 2). Windows without a clear peak are NaN."""
         planes = scipy.fft.fftshift(scipy.fft.irfft2(self._sum, s=(self.side, self.side)), axes=(-2, -1))
         smooth = [cv2.GaussianBlur(one, (0, 0), SMOOTHING) for one in planes.reshape(-1, *planes.shape[-2:])]
         return np.array([_centre(np.asarray(one)) for one in smooth]).reshape(*planes.shape[:2], 2)
