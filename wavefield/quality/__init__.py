@@ -1,1 +1,1 @@
-"""Faults of cameras and records: delays, motion, blur, inconsistent cameras, missing or uneven frames."""
+"""Find faults of cameras and of records: delayed, moved or blurred cameras, and missing or uneven frames."""

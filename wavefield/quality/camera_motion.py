@@ -1,15 +1,16 @@
 """Find cameras that are delayed, vibrate or were knocked, from the epipolar errors (eps_y) of moving water.
 
-eps_y is the displacement between the images of two cameras across their parallax. Water of any shape has
-eps_y = 0. A constant or linear eps_y over the field shows that a camera has turned: it varies from step to
-step if a camera vibrates (tilt, roll), and jumps once if a camera was knocked. A step is the interval between
-two consecutive frames; a patch is a square of `SIDE` pixels on the water.
+eps_y is the displacement between the images of two cameras across their parallax. With a correct calibration,
+water of any shape has eps_y = 0. If eps_y is constant or linear over the field, a camera has turned: eps_y
+varies from step to step if a camera vibrates (tilt, roll), and jumps once if a camera was knocked. A step is
+the interval between two consecutive frames. A patch is a square of `SIDE` x `SIDE` pixels on the water.
 
-A camera that is delayed by tau sees every bead displaced by tau times its velocity. The component along the
-parallax looks like height. The component across it is eps_y, so tau is the slope of a regression of eps_y on
-the velocity across the parallax, over the patches of several frames. Each frame has its own constant and
-linear terms, which absorb the motion of the mounts. A rolling shutter reads rows one after the other: the
-delay then grows with the difference between the rows in which two cameras see a patch.
+A camera that is delayed by tau sees every bead displaced by tau times its velocity. The component of this
+displacement along the parallax looks like height. The component across the parallax is eps_y, so tau is the
+slope of a regression of eps_y on the velocity across the parallax, over the patches of several frames. Each
+frame has a constant and linear terms of its own, which absorb the motion of the mounts. A rolling shutter
+reads rows one after the other: the delay then grows with the difference between the rows in which two cameras
+see a patch.
 
 If eps_y and velocity differed in resolution, tau would be too large, so both are averaged over the same
 patches. The velocity is the mean of the steps before and after the frame, which is 5 % too low for 2 Hz waves
@@ -42,7 +43,7 @@ MIN_VELOCITY = 0.03  # px per frame, rms after the fit of linear terms: less is 
 
 @dataclass(frozen=True)
 class Delay:
-    """A delay of one camera behind another, or of an image row behind the row above."""
+    """The delay of one camera behind another, or of the reading of an image row behind the row above."""
 
     seconds: float  # Delay, s; negative if earlier
     std: float  # Standard uncertainty, s
@@ -50,30 +51,33 @@ class Delay:
 
 @dataclass(frozen=True)
 class Sample:
-    """Means over the patches of the water that two cameras match at one frame."""
+    """Means over each of the m patches of the water that two cameras match at one frame."""
 
     eps_y: Array  # (m,): Mean epipolar error, px on the water
     velocity: Array  # (m,): Velocity of the beads across the parallax, px per frame
     design: Array  # (m, 3): Columns of the linear fit: 1, x and y, both scaled to -1 to 1
-    speed: float = 0.0  # Mean horizontal speed of the beads, px per frame
-    rows: Array | float = 0.0  # (m,): Row in the second image minus row in the first, each from mid-image
+    speed: float = 0.0  # Horizontal speed of the beads, mean over all patches, px per frame
+    rows: Array | float = 0.0  # (m,): Row in the second image minus row in the first, from each mid-image
 
 
 class Synchrony(NamedTuple):
-    """Result of `delays`: delays between cameras and between image rows, and the speed of the water."""
+    """Result of `delays`: delays between cameras and between image rows, and the speed of the beads."""
 
-    delays: dict[str, Delay]  # Delay of each camera relative to the median camera
+    # By camera: delay behind the median camera of three or more, or behind the reference camera of two;
+    # empty if unknown
+    delays: dict[str, Delay]
     speed: float = 0.0  # Median speed of the beads, px/s
-    row_time: Delay | None = None  # Of a row behind the row above, minus the `row_time` that the user gave
+    # Of an image row behind the row above, minus the `row_time` that the user gave; None if unknown
+    row_time: Delay | None = None
     rows: int = 0  # Rows of the largest image
 
 
 def sample(
     geometry: "GridGeometry", pair: Pair, flat: Mapping[str, Any], displacement: NDArray[np.floating]
 ) -> Sample | None:
-    """Return means over the patches that two cameras match; None if an image is missing or too few match.
+    """Match two cameras at one frame, and average over patches; None without an image or with few matches.
     ``flat`` holds the filtered image of each camera. ``displacement`` (3, ny, nx) is the displacement of the
-    water at the grid nodes, metres per frame, NaN where not measured."""
+    water along x, y and z at the grid nodes, metres per frame, NaN where not measured."""
     from wavefield.measurement.pair import match_pair
 
     if not all(name in flat for name in pair):
@@ -109,14 +113,15 @@ def sample(
 
 
 def _sight_slope(camera: "Camera", axis: int, v: Array) -> Array:
-    """Return the shift of sight lines' intersections with the water per metre of elevation, along one axis.
-    ``v`` are the coordinates along that axis, metres, where the sight lines meet z = 0."""
+    """Return the slope dx/dz (``axis`` 0) or dy/dz (``axis`` 1) of sight lines of a camera.
+    ``v`` are their coordinates along this axis on z = 0, metres."""
     return np.asarray((v - camera.centre[axis]) / -camera.centre[2])
 
 
 def _patch_means(values: Array, side: float) -> Array:
-    """Average ``values`` (quantities, blocks), whose first two rows are x and y, over square patches.
-    ``side`` is the side of a patch in the unit of x. Patches that hold few blocks are left out."""
+    """Average quantities over square patches: ``values`` (quantity, block) becomes (quantity, patch).
+    The first two quantities are x and y of the blocks, and ``side`` is the side of a patch in their unit.
+    Patches with less than half of the blocks of the fullest patch are left out."""
     if not values.size:
         return values
     column, row = np.floor((values[:2] - values[:2].min(axis=1)[:, None]) / side).astype(np.intp)
@@ -127,9 +132,9 @@ def _patch_means(values: Array, side: float) -> Array:
 
 
 def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
-    """Fit the delay of the second camera behind the first by a robust regression over several frames.
-    Returns the delay and its standard uncertainty, in frame intervals; None for fewer than two frames, or if
-    the water hardly moves."""
+    """Fit the delay of a pair's second camera behind its first, by a robust regression over several frames.
+    ``samples`` has one `Sample` per frame. Returns the delay and the standard uncertainty of the delay, in
+    frame intervals; None for fewer than two samples, or if the water hardly moves."""
     if len(samples) < 2:
         return None
     weights = [np.ones(len(s.eps_y)) for s in samples]
@@ -153,8 +158,8 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
 
 
 def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[float, list[Array]]:
-    """Fit the delay by least squares with weights of the patches.
-    Returns the delay, in frame intervals, and the residuals of eps_y of each sample, px."""
+    """Fit the delay by least squares; ``weights`` has an array (m,) of patch weights for each sample.
+    Returns the delay, in frame intervals, and an array (m,) of residuals of eps_y per sample, px."""
     residuals = [_residuals(s, w) for s, w in zip(samples, weights)]
     power = sum(float((w * v * v).sum()) for (_, v), w in zip(residuals, weights))
     delay = sum(float((w * v * y).sum()) for (y, v), w in zip(residuals, weights)) / max(power, 1e-12)
@@ -162,7 +167,8 @@ def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[flo
 
 
 def _residuals(one: Sample, weight: Array) -> tuple[Array, Array]:
-    """Return eps_y and the velocity without a constant and linear terms, fitted with weights of patches."""
+    """Return eps_y and velocity of a sample, each (m,), after removal of a constant and linear terms.
+    These terms are fitted by least squares with the weights (m,) of the patches."""
     root = np.sqrt(weight)[:, None]
     both = np.stack([one.eps_y, one.velocity], axis=-1)
     fit = np.linalg.lstsq(root * one.design, root * both, rcond=None)[0]
@@ -179,9 +185,9 @@ def delays(
     rate: float,
     threads: int = 1,
 ) -> Synchrony:
-    """Measure delays of cameras and of image rows from some frames; none if a pair's is not determined.
-    ``displacement`` returns the displacement of the water at the grid nodes at a frame, (3, ny, nx), metres
-    per frame, NaN where not measured. ``rate`` is the frame rate, Hz."""
+    """Measure delays of cameras and of image rows at ``frames``; none if the fit of a pair fails.
+    ``read(camera, frame)`` returns an image or None. ``displacement(frame)`` returns the displacement of the
+    water at the grid nodes, (3, ny, nx), metres per frame, NaN where unknown. ``rate`` is in Hz."""
     pair_delays: dict[Pair, tuple[float, float]] = {}
     row_times: list[tuple[float, float]] = []
     speeds: list[float] = []
@@ -217,8 +223,8 @@ def delays(
 def _prepared(
     read: Read, frame: int, geometry: "GridGeometry", widths: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Return the images of one frame, filtered for matching between cameras, without missing or bad ones.
-    ``widths`` is the width of the beads in each camera, px."""
+    """Return the images of one frame by camera, filtered for matching; missing and bad images are left out.
+    ``widths`` is the width of the beads in each camera's images, px."""
     from wavefield.measurement.images import prepare, ready, usable
 
     out = {}
@@ -231,7 +237,9 @@ def _prepared(
 
 
 def _camera_delays(found: Mapping[Pair, tuple[float, float]], rate: float) -> dict[str, Delay]:
-    """Convert delays of pairs (reference camera, other camera), in frame intervals, to delays of cameras."""
+    """Convert the delays between cameras to a delay of each camera, s; ``rate`` is the frame rate, Hz.
+    ``found`` holds, by pair (reference camera, other camera), the delay of the other camera and its standard
+    uncertainty, in frame intervals."""
     delays = {next(iter(found))[0]: (0.0, 0.0)} | {name: one for (_, name), one in found.items()}
     # only differences are measured: zero is the median camera of three or more, the reference camera of two
     median = next(iter(delays))
@@ -246,7 +254,7 @@ def _camera_delays(found: Mapping[Pair, tuple[float, float]], rate: float) -> di
 
 
 def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
-    """Report cameras that are delayed, and a rolling shutter whose `row_time` the user did not give."""
+    """Yield remarks on late or early cameras, and on a rolling shutter that `row_time` does not correct."""
     for name, one in found.delays.items():
         off, word = abs(one.seconds) * found.speed, "later" if one.seconds > 0 else "earlier"
         if abs(one.seconds) > SIGNIFICANCE * one.std and off > MAX_EPS_Y:
@@ -278,7 +286,8 @@ def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
 
 
 def spell_delays(found: Mapping[str, Delay]) -> str:
-    """Describe the delays of the cameras in words, relative to the camera whose delay has no uncertainty."""
+    """Return a text on the delays of the cameras relative to the camera whose delay is zero by definition.
+    The argument is `Synchrony.delays`."""
     first = next((name for name, one in found.items() if one.std == 0), "")
     words = []
     for name, one in found.items():
@@ -293,7 +302,7 @@ def spell_delays(found: Mapping[str, Delay]) -> str:
 
 @dataclass(frozen=True)
 class CameraMotion:
-    """Motion of the cameras, as a constant and linear terms fitted to the epipolar error of each step."""
+    """Linear fits over the field to the epipolar error of each step, which change when a camera turns."""
 
     steps: NDArray[np.intp]  # (n,): Steps with enough measured nodes
     coefficients: Array  # (n, 3), px: eps_y at mid-field; its change from there to the right and upper edge
@@ -308,7 +317,8 @@ class Knock(NamedTuple):
 
 
 def camera_motion(cube: xr.Dataset) -> CameraMotion:
-    """Fit a constant and linear terms in x and y to the epipolar error eps_y of each step of a cube."""
+    """Fit a constant and linear terms in x and y to the epipolar error ``eps_y`` of each step of a cube.
+    Steps with few measured nodes are left out."""
     count, ny, nx = cube.eps_y.shape
     every = slice(None, None, max(1, int(np.sqrt(ny * nx / MAX_SAMPLES))))
     x, y = np.meshgrid(*(np.linspace(-1, 1, n)[every] for n in (nx, ny)))
@@ -325,8 +335,8 @@ def camera_motion(cube: xr.Dataset) -> CameraMotion:
 
 
 def _fit_linear(design: Array, values: Array) -> tuple[Array, Array] | None:
-    """Fit the columns of ``design`` (n, 3) to ``values`` (n,), without outliers and missing values.
-    Returns the coefficients and their standard uncertainties; None if too few values are left."""
+    """Fit the columns of ``design`` (n, 3) to ``values`` (n,), without outliers and NaN.
+    Returns the coefficients (3,) and their standard uncertainties (3,); None if too few values are left."""
     near = np.isfinite(values)
     if near.sum() >= MIN_NODES:
         departure = values - np.median(values[near])
@@ -340,8 +350,9 @@ def _fit_linear(design: Array, values: Array) -> tuple[Array, Array] | None:
 
 
 def find_jump(series: Array) -> int | None:
-    """Return the index of the first value after the largest jump of a series (n, 3) of coefficients, px.
-    None if no jump is larger than the scatter and `MAX_EPS_Y`."""
+    """Return the index of the first row after the largest jump in ``series`` (n, 3), or None without one.
+    The rows are linear fits of eps_y, px. The jump, rms over the field, must reach `MAX_EPS_Y` and twice the
+    scatter of the rows about the means before and after it."""
     n = len(series)
     if n < 2 * MIN_STEPS_PER_SIDE:
         return None
@@ -357,7 +368,7 @@ def find_jump(series: Array) -> int | None:
 
 
 def find_knock(found: CameraMotion) -> Knock | None:
-    """Find the largest jump of eps_y, and the first frame after it; None without a jump."""
+    """Return the frame and the size of the largest jump of eps_y between steps; None without a jump."""
     at = find_jump(found.coefficients)
     if at is None:
         return None
@@ -370,8 +381,8 @@ def find_knock(found: CameraMotion) -> Knock | None:
 
 
 def vibration_rms(found: CameraMotion, knocked: Knock | None) -> tuple[float, float]:
-    """Return the rms variation of eps_y over the field and the steps, and its standard uncertainty, px.
-    Means before and after a knock are subtracted separately, and the noise of the fits from the variance."""
+    """Return the rms of the fits of eps_y about their mean over the steps, and its standard uncertainty, px.
+    The steps before and after the knock ``knocked`` each have a mean. The noise of the fits is removed."""
     cut = np.searchsorted(found.steps, knocked.frame) if knocked else 0
     halves = found.coefficients[:cut], found.coefficients[cut:]
     parts = [part - part.mean(axis=0) for part in halves if len(part)]
@@ -384,7 +395,7 @@ def vibration_rms(found: CameraMotion, knocked: Knock | None) -> tuple[float, fl
 
 
 def remarks_on_mounts(cube: xr.Dataset) -> Iterator[Remark]:
-    """Report a camera that was knocked within the record, and cameras that vibrate."""
+    """Yield remarks on a cube in which a camera was knocked during the record, or cameras vibrate."""
     found = camera_motion(cube)
     if len(found.steps) < 2 * MIN_STEPS_PER_SIDE:
         return

@@ -2,10 +2,12 @@
 
 Square patches of the images are resampled on the plane of the water at rest. Every pair of cameras is
 compared by normalised correlation at a few frames. A point at height z appears displaced along the parallax
-of the pair. A displacement across it, the epipolar error eps_y, does not come from water of any shape.
+of the pair. Water of any shape causes no displacement across the parallax; such a displacement is called the
+epipolar error, eps_y, and shows that the calibration or the timing is wrong.
 
-Two cameras agree if enough of their patches match with a smooth eps_y. A camera that agrees with no other is
-compared again with its images flipped, exchanged or shifted in time, to find the cause.
+Two cameras agree if enough of their patches match with an eps_y that is linear over the field. A camera that
+agrees with no other is compared again with its images flipped, exchanged or shifted in time. This finds the
+cause.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -52,7 +54,8 @@ MAX_BLUR_RATIO = 1.6  # width of beads over that in the other cameras, in px and
 
 @dataclass
 class PatchMatcher:
-    """Square patches of the cameras' images, resampled on the plane of the water at rest."""
+    """Cuts square patches out of the cameras' images, resampled on the plane of the water at rest.
+    The n patches lie in the area that all cameras see; each has WHOLE x WHOLE pixels with search margins."""
 
     read: Read  # Returns the image of a camera at a frame
     rig: Rig  # Calibrated cameras
@@ -65,7 +68,7 @@ class PatchMatcher:
         self.patches = cache(self.sampled)
 
     def _places(self) -> tuple[Array, Array]:
-        """Return the coordinates x, y of the centres of patches in the area that all cameras see, (n,), m."""
+        """Return x and y of the centres of the patches in the area that all cameras see, each (n,), m."""
         pitch = SIDE * self.pixel
         limits = (self.grid.x, self.grid.y)
         x, y = (np.arange(low + pitch / 2, high - pitch / 2 + 1e-9, pitch) for low, high in limits)
@@ -79,7 +82,7 @@ class PatchMatcher:
         return X[chosen], Y[chosen]
 
     def _pixels_of_patches(self, name: str) -> tuple[Image, Image]:
-        """Return the columns and rows of a camera's image at the pixels of all patches, (n WHOLE, WHOLE)."""
+        """Return columns and rows, in a camera's image, of all pixels of patches: (n WHOLE, WHOLE) each."""
         offset = (np.arange(WHOLE) - (WHOLE - 1) / 2) * self.pixel
         places = self.x[:, None, None] + offset, self.y[:, None, None] + offset[:, None]
         parts = np.stack(self.rig[name].project(*places, 0.0))
@@ -87,9 +90,9 @@ class PatchMatcher:
         return column, row
 
     def sampled(self, name: str, frame: int, through: str, change: str = "") -> Image | None:
-        """Return the patches of the image of camera ``name`` at a frame, (n, WHOLE, WHOLE), in grey levels.
-        They include search margins. ``through`` is the camera whose calibration is used, and ``change`` names
-        a flip of the image. The method `patches` does the same, and keeps its results."""
+        """Return the patches of an image of camera ``name``, grey levels (n, WHOLE, WHOLE), or None.
+        The calibration is that of camera ``through``. ``change``, a key of `FLIPS`, flips the image first.
+        The method `patches` is the same with a cache."""
         image = self.read(name, frame)
         if image is None:
             return None
@@ -103,7 +106,8 @@ class PatchMatcher:
         return np.asarray(sampled, np.float32).reshape(-1, WHOLE, WHOLE)
 
     def textured(self, name: str, frame: int) -> NDArray[np.bool_]:
-        """Return a mask (n,) of the patches with more than a fifth of the image's median contrast."""
+        """Return a mask (n,), True for patches with more than a fifth of the median contrast of patches.
+        The contrast is the standard deviation of grey levels in a patch without its margins."""
         patches = self.patches(name, frame, name)
         assert patches is not None  # only frames that all cameras have are compared
         contrast = np.nan_to_num(middle(patches).std(axis=(1, 2)).astype(float))
@@ -111,21 +115,21 @@ class PatchMatcher:
         return np.asarray(contrast > 0.2 * (np.median(some) if some.size else np.inf))
 
     def parallax(self, pair: Pair) -> tuple[Array, Array]:
-        """Return the unit vectors (n, 2) and the lengths (n,), m/m, of the parallax of two cameras.
-        The parallax is the displacement between their images on z = 0 per height of the water."""
+        """Return the parallax of two cameras at the patches: unit vectors (n, 2) and lengths (n,), m/m.
+        The parallax is the displacement between their images on z = 0 per metre of water height."""
         vectors = parallax(self.rig, pair, self.x, self.y).T
         length = np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)
         return vectors / length[:, None], length
 
 
 def middle(patches: Image) -> Image:
-    """Return the middles (n, SIDE, SIDE) of patches (n, WHOLE, WHOLE), without their search margins."""
+    """Return patches (n, WHOLE, WHOLE) without their search margins, (n, SIDE, SIDE)."""
     return patches[:, REACH : REACH + SIDE, REACH : REACH + SIDE]
 
 
 def compare(first: Image | None, second: Image | None) -> Array | None:
-    """Return the displacement of each patch of the first camera in the second camera, (n, 2), px.
-    The arguments are (n, WHOLE, WHOLE), or None without an image. NaN without a match."""
+    """Return how far each patch of the image ``first`` is displaced in ``second``, (n, 2), px along x and y.
+    The arguments are (n, WHOLE, WHOLE). The result is NaN without a match, and None if an image is None."""
     if first is None or second is None:
         return None
     moved = np.full((len(first), 2), np.nan)
@@ -144,9 +148,9 @@ def compare(first: Image | None, second: Image | None) -> Array | None:
 class PairConsistency:
     """How well the images of two cameras agree at one frame."""
 
-    fraction: float  # Fraction of the patches that match with an eps_y near the linear fit
+    fraction: float  # Fraction of the patches that match with an eps_y near its linear fit over the field
     eps_y: Array  # (m,): Epipolar error of these patches, px on the water
-    smooth: Array  # (3,): Linear fit of eps_y: px at mid-field, px per half width along x and along y
+    smooth: Array  # (3,): Linear fit of eps_y: px at mid-field, px per half width of the field along x and y
     places: NDArray[np.intp]  # (m,): Indices of these patches
     height: Array  # (m,): Height of the water there, from the displacement along the parallax, m
 
@@ -154,8 +158,8 @@ class PairConsistency:
 def agreement(
     patch_matcher: PatchMatcher, pair: Pair, moved: Array | None, ground: NDArray[np.bool_] | None = None
 ) -> PairConsistency:
-    """Judge how well two cameras agree, from the displacements ``moved`` of `compare`.
-    ``ground`` (n,) is True for the patches to compare; by default all."""
+    """Return how well two cameras agree, from the displacements ``moved`` (n, 2) that `compare` returned.
+    ``ground`` (n,) is True for the patches that count; by default all."""
     n = len(patch_matcher.x)
     ground = np.ones(n, bool) if ground is None else ground
     if moved is None or not ground.any():
@@ -177,17 +181,19 @@ def agreement(
 
 
 def scaled(v: Array) -> Array:
-    """Return coordinates minus their mean, divided by half of their range."""
+    """Return coordinates minus their mean, divided by half of their range: about -1 to 1."""
     return np.asarray((v - v.mean()) / max(float(np.ptp(v)) / 2, 1e-12))
 
 
 def rms_over_field(smooth: Array) -> float:
-    """Return the rms over the field of a linear epipolar error with the coefficients ``smooth`` (3,), px."""
+    """Return the rms over the field, px, of an epipolar error that is linear in x and y.
+    ``smooth`` holds its value at mid-field and its change per half width along x and along y, px."""
     return float(np.sqrt(smooth[0] ** 2 + (smooth[1] ** 2 + smooth[2] ** 2) / 3))
 
 
 class ConsistencyTable:
-    """Agreement of every pair of cameras at every sampled frame, and the blur and texture of each image."""
+    """Agreement of every pair of cameras at every sampled frame, and the blur and texture of each image.
+    ``names`` are the cameras; ``frames`` are frames that all of them have."""
 
     def __init__(
         self, patch_matcher: PatchMatcher, names: list[str], frames: tuple[int, ...], threads: int = 1
@@ -206,9 +212,9 @@ class ConsistencyTable:
     def compare(
         self, pair: Pair, frame: int, images: Pair | None = None, *, change: str = "", later: int = 0
     ) -> PairConsistency:
-        """Compare the two cameras of a pair at a frame, if required after a change.
-        ``images`` names two cameras whose images replace the pair's own images, while the calibrations remain
-        the pair's. ``change`` names a flip of the second image, which is taken ``later`` frames later."""
+        """Compare the cameras of ``pair`` at a frame, or test what would happen if their images were changed.
+        ``images`` are two cameras whose images are used with the calibrations of ``pair``. ``change``, a key
+        of `FLIPS`, flips the second image, which comes ``later`` frames after the first."""
         (a, b), (first, second) = pair, images or pair
         one = self.patch_matcher.patches(first, frame, a)
         found = compare(one, self.patch_matcher.patches(second, frame + later, b, change))
@@ -219,7 +225,8 @@ class ConsistencyTable:
 
 
 def score(found: Sequence[PairConsistency]) -> float:
-    """Return the mean fraction of matched patches of a pair; 0 if eps_y scatters as wrong matches do."""
+    """Return the fraction of matched patches, mean over ``found`` (one element per frame) of two cameras.
+    It is 0 if eps_y scatters as much as that of wrong matches."""
     scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= MIN_PATCHES]
     if not scatter or float(np.median(scatter)) >= MAX_SCATTER:
         return 0.0
@@ -227,8 +234,9 @@ def score(found: Sequence[PairConsistency]) -> float:
 
 
 def blur(image: NDArray[np.generic] | None) -> float:
-    """Return the standard deviation s of the finest details of an image, px; NaN without details.
-    The autocorrelation of Gaussian beads is exp(-d^2 / 4 s^2) at the lag d: s^2 = 3 / (4 ln(r(1) / r(2)))."""
+    """Return the standard deviation s, px, of Gaussian beads in an image; NaN if it shows none.
+    The autocorrelation of such beads is r(d) = exp(-d^2 / (4 s^2)) at a lag of d px, which gives
+    s^2 = 3 / (4 ln(r(1) / r(2)))."""
     assert image is not None  # only frames that all cameras have are compared
     fine = np.asarray(image, np.float32)
     fine = fine - cv2.blur(fine, (SIDE, SIDE))  # uneven light
@@ -245,7 +253,8 @@ class CameraFaults:
     """Result of `find_camera_faults`: the faults, and how well each pair of cameras agrees."""
 
     remarks: tuple[Remark, ...]  # Faults found
-    # By pair: ``agreement`` (fraction of matched patches) and ``eps_y`` (px, rms of the linear fit) per frame
+    # By pair ("left-right"): lists over the frames, ``agreement`` (fraction of matched patches) and ``eps_y``
+    # (rms over the field of the linear fit, px)
     pairs: Mapping[str, Mapping[str, list[float]]]
     frames: tuple[int, ...]  # Indices of the frames that were compared
 
@@ -253,8 +262,9 @@ class CameraFaults:
 def find_camera_faults(
     patch_matcher: PatchMatcher, count: int, frames: Sequence[int], threads: int = 1
 ) -> CameraFaults:
-    """Compare the cameras with each other at some frames of a record of ``count``, and report their faults.
-    Frames that a camera lacks are skipped. Nothing is reported for one camera or too small a common field."""
+    """Compare the cameras with each other at ``frames`` of a record of ``count`` frames, and return faults.
+    Frames that a camera lacks are skipped. There are no remarks for one camera, or if the area that all
+    cameras see is too small."""
     names = list(patch_matcher.rig)
     complete = tuple(k for k in frames if all(patch_matcher.read(name, k) is not None for name in names))
     if len(patch_matcher.x) < MIN_PATCHES or not complete or len(names) < 2:
@@ -280,7 +290,7 @@ def find_camera_faults(
 
 
 def _covered(table: ConsistencyTable) -> Iterator[Remark]:
-    """Report cameras without texture in a part of the field where most of the other cameras see texture."""
+    """Yield remarks on cameras without texture in a part of the field where most others see texture."""
     for name in table.names:
         covered = []
         for ground in table.grounds.values():
@@ -300,7 +310,7 @@ def _covered(table: ConsistencyTable) -> Iterator[Remark]:
 
 
 def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
-    """Report cameras in which beads are wider than in the other cameras, both in px and on the water."""
+    """Yield remarks on cameras that show wider beads than the others do, both in px and on the water."""
     widths = {name: float(np.nanmedian(table.blur[name])) for name in table.names}
     rig, grid = table.patch_matcher.rig, table.patch_matcher.grid
     centre = float(np.mean(grid.x)), float(np.mean(grid.y))
@@ -325,7 +335,7 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
 
 def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[Remark]]:
     """Return the names of the cameras that agree with no other camera, and remarks on the causes.
-    If no pair agrees at all, there is only one remark."""
+    ``count`` is the number of frames of the record. If no two cameras agree, there is only one remark."""
     scores = {pair: score(found) for pair, found in table.found.items()}
     level = max(MIN_AGREEMENT, 0.5 * max(scores.values()))  # above, two cameras agree
     good = [pair for pair, value in scores.items() if value >= level]
@@ -342,7 +352,7 @@ def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[R
 
 
 def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
-    """Return the remark that a camera, or every camera if no name is given, matches no other."""
+    """Return the remark that the camera ``name`` matches no other or, without name, that no cameras match."""
     best = max(score(found) for pair, found in table.found.items() if not name or name in pair)
     sentence = (
         f"at best {100 * best:.0f} % of the patches of two cameras match with a smooth epipolar error (sound "
@@ -378,9 +388,9 @@ _CAMERA_FAULTS = {
 
 
 def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
-    """Find by trial why the camera ``name`` does not agree with its partners, and return a remark on it.
-    At two frames its images are flipped, exchanged for those of another camera, or taken earlier or later,
-    until a fraction ``level`` of the patches matches."""
+    """Find by trial why the camera ``name`` agrees with none of the cameras ``partners``; returns the remark.
+    At two frames its images are flipped, used as those of another camera, or taken up to two frames earlier
+    or later. The best trial shows the cause if at least a fraction ``level`` of the patches match in it."""
     frames = table.frames[:2]
     tried: dict[tuple[str, str, str], list[PairConsistency]] = {}  # by kind, detail and partner
     for partner in partners:
@@ -403,8 +413,9 @@ def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level:
 
 
 def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
-    """Report pairs of cameras whose sight lines miss each other by a smooth eps_y, in at most one remark.
-    It is on the camera that moved if a single camera explains all of these pairs, else on the rig."""
+    """Return at most one remark on pairs of cameras whose linear fit of eps_y is large and significant.
+    It is on one camera if only that camera can have moved, or else on the rig. Skips cameras in
+    ``inconsistent``."""
     smooth = {
         pair: np.median([one.smooth for one in found if one.fraction > 0], axis=0)
         for pair, found in table.found.items()
@@ -432,7 +443,8 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
 
 
 def _moved(subject: str, error: float, sentence: str, values: Mapping[str, float]) -> Remark:
-    """Return the remark that a camera, or the rig, has moved, with an ``error`` in px on the water."""
+    """Return the remark that the camera ``subject``, or a camera of the "rig", has moved.
+    ``error`` is the resulting error, px on the water; ``sentence`` and ``values`` are parts of the remark."""
     return Remark(
         subject,
         "moved",
@@ -446,8 +458,8 @@ def _moved(subject: str, error: float, sentence: str, values: Mapping[str, float
 
 
 def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
-    """Report two pairs of cameras that see the same water at different heights, in at most one remark.
-    A camera has then moved along the parallax; the one difference does not show which."""
+    """Return at most one remark on two pairs of cameras that see the same water at different heights.
+    A camera has then moved along the parallax, but it is unknown which. Skips cameras in ``inconsistent``."""
     worst, sure = 0.0, 0.0
     which: tuple[Pair, ...] = ()
     for first, second in combinations(table.pairs, 2):
@@ -469,7 +481,8 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
 
 
 def _height_difference(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
-    """Return the difference of heights in px of parallax, at patches that both pairs match at one frame."""
+    """Return heights from the pair ``first`` minus heights from the pair ``second``, as px of parallax.
+    There is one value for each patch that both match at the table's frame with index ``k``."""
     a, b = table.found[first][k], table.found[second][k]
     both, ia, ib = np.intersect1d(a.places, b.places, return_indices=True)
     length = np.minimum(*(table.patch_matcher.parallax(pair)[1] for pair in (first, second)))[both]
@@ -477,7 +490,8 @@ def _height_difference(table: ConsistencyTable, first: Pair, second: Pair, k: in
 
 
 def _significance(found: Sequence[PairConsistency]) -> float:
-    """Return the rms of the linear fit of eps_y over its standard uncertainty, at the best frame."""
+    """Return the rms over the field of the linear fit of eps_y, divided by its standard uncertainty.
+    ``found`` has one element per frame; the frame with most matched patches is used."""
     one = max(found, key=lambda each: each.fraction)
     if len(one.eps_y) < MIN_PATCHES:
         return 0.0

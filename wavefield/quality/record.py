@@ -1,14 +1,15 @@
 """Find faults of a record: missing or bad frames, wrong frame rates, lost or doubled frames.
 
-A step is the interval between two consecutive frames; a step of the cube holds z, u, v, w at its middle. Two
-tests use the kinematic boundary condition dz/dt + u . grad z = w:
+A step is the interval between two consecutive frames. The cube holds z, u, v and w of each step at mid-step.
+Two tests use the kinematic boundary condition dz/dt + u . grad z = w:
 
-- Within a step, dz/dt is the difference of the two frames. The residual is compared with its standard
-  uncertainty.
-- Between steps, dz/dt is the central difference of the steps before and after. The ratio of w to
+- Within a step, dz/dt is the difference between the two frames. The residual of the condition is compared
+  with the standard uncertainty of the residual.
+- Between steps, dz/dt is the central difference of z between the steps before and after. The ratio of w to
   dz/dt + u . grad z is the same at all steps if the frame times are even. It jumps where a frame was lost,
-  doubled or late in all cameras: a step over a lost frame has 4/3 of the usual ratio and its neighbours 4/5;
-  a step onto a doubled frame has 0 and its neighbours 4/3. Random jitter of the frame times is not found.
+  doubled or late in all cameras: a step over a lost frame has 4/3 of the usual ratio, and the steps before
+  and after it have 4/5; a step from a frame to its double has 0, and the steps before and after it have 4/3.
+  Random jitter of the frame times is not found.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -64,7 +65,8 @@ class FrameInspection:
 
 
 def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
-    """Return the frames to inspect: all of a short record, else the first, the last and some random steps."""
+    """Return the indices of the frames to inspect, from the series of all cameras.
+    These are all frames of a short record, or else the first, the last and those of some random steps."""
     complete = complete_steps(series)
     if len(complete) < 2 * SAMPLED_STEPS:
         return tuple(range(len(complete) + 1))
@@ -74,7 +76,8 @@ def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
 
 
 def inspect_frames(series: FrameSeries, indices: Iterable[int]) -> FrameInspection:
-    """Read the frames ``indices`` of a camera, and find those that are bad or equal the frame before them."""
+    """Read the frames ``indices`` of a camera, and find those that are bad or equal the frame before them.
+    Missing frames are skipped. Equality is tested if the frame before was read, too."""
     faults: dict[int, tuple[FrameFault, str]] = {}
     read: list[int] = []
     last: Any = None
@@ -93,7 +96,7 @@ def inspect_frames(series: FrameSeries, indices: Iterable[int]) -> FrameInspecti
 
 
 def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
-    """Return a mask (n,) of the steps, true if both frames of the step have a file in every camera."""
+    """Return a mask of the steps (n,), True if every camera has files of both frames of the step."""
     present = np.all([[entry is not None for entry in one.entries] for one in series.values()], axis=0)
     return np.asarray(present[:-1] & present[1:])
 
@@ -101,7 +104,8 @@ def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
 def remark_on_frames(
     series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection]
 ) -> Iterator[Remark]:
-    """Report cameras with many bad or repeated frames, or with any frame of another size."""
+    """Yield remarks on cameras with many bad or repeated frames, or with a single frame of another size.
+    Both arguments are by camera."""
     for name, found in inspections.items():
         for fault, (words, remedy) in FAULTS.items():
             bad = [index for index, (other, _) in found.faults.items() if other == fault]
@@ -123,7 +127,8 @@ def remark_on_frames(
 
 
 def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Report missing frames, uneven times, and frame rates that contradict the experiment file."""
+    """Yield remarks on missing frames, uneven frame times, interlaced images and wrong frame rates.
+    ``series`` holds the frames of each camera."""
     measuring = {name: series[name] for name in experiment.measuring_cameras if name in series}
     yield from _missing(measuring)
     yield from _rates(experiment, series)
@@ -133,7 +138,8 @@ def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSerie
 
 
 def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Report cameras with many missing frames, and a record in which few steps have all frames."""
+    """Yield remarks on cameras that lack many frames, and on a record in which few steps are complete.
+    A step is complete if both of its frames exist in every camera."""
     for name, one in series.items():
         missing = one.missing
         if len(missing) <= MAX_LOST * len(one):
@@ -164,8 +170,8 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
 
 
 def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
-    """Report recordings of another frame rate than the experiment file states, and rotated videos.
-    A note is given if the stated rate is only the playback rate of a video."""
+    """Yield remarks on rotated videos, and on recordings whose frame rate differs from the experiment's.
+    If the experiment's rate is the playback rate of a video, the camera's rate is unknown: this is a note."""
     file, rate = experiment.path.name, experiment.frame_rate
     named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
     stated = stated_by_recordings(named, experiment.image_folder)
@@ -207,7 +213,7 @@ def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterato
 
 
 def _interlaced(series: FrameSeries) -> Iterator[Remark]:
-    """Report that the images of a camera are interlaced."""
+    """Yield a remark if the images of a camera are interlaced."""
     if is_interlaced(series):
         yield Remark(
             series.camera,
@@ -220,7 +226,7 @@ def _interlaced(series: FrameSeries) -> Iterator[Remark]:
 
 
 def _uneven(series: FrameSeries) -> Iterator[Remark]:
-    """Report uneven intervals between a camera's images, by its time stamps."""
+    """Yield a remark if time stamps of a camera are not whole frame intervals apart."""
     if series.times is None:
         return
     there = np.flatnonzero(np.isfinite(series.times))
@@ -244,9 +250,9 @@ def _uneven(series: FrameSeries) -> Iterator[Remark]:
 
 
 def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, rate: float) -> Array:
-    """Return the robust rms of z_t - w + u z_x + v z_y over its standard uncertainty at each step, (n,).
-    ``fields`` holds the variables `COMPARED`, each (n, ny, nx), ``step`` is the node spacing, m, and ``rate``
-    the frame rate, Hz. The result is NaN with few measured nodes."""
+    """Return the robust rms over the nodes of z_t - w + u z_x + v z_y at each step, (n,).
+    It is in units of its standard uncertainty, and NaN with few measured nodes. ``fields`` holds the
+    variables `COMPARED`; they and the mask ``measured`` are (n, ny, nx). ``step`` is the node spacing, m."""
     z = np.asarray(fields["z"], np.float64)
     z_y, z_x = (np.gradient(z, step, axis=axis) for axis in (1, 2))
     residual = fields["z_t"] - fields["w"] + fields["u"] * z_x + fields["v"] * z_y
@@ -265,9 +271,9 @@ def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, r
 
 
 def rise_ratios(cube: xr.Dataset) -> tuple[Array, Array]:
-    """Compute at every step k of a cube the ratio of w to (z(k+1) - z(k-1)) / 2 dt + u . grad z.
-    Returns the ratios (n,), slopes of regressions over the field, and their variances. All ratios are NaN if
-    their median is not between 0 and `MAX_RATIO`, because the waves are then too fast for the test."""
+    """Return at every step k the ratio of w to (z(k+1) - z(k-1)) / (2 dt) + u . grad z, and its variance.
+    dt is the frame interval. A ratio is the slope of a regression over the field. If the median of all ratios
+    is not between 0 and `MAX_RATIO`, the waves are too fast for this test, and all ratios are NaN."""
     steps, rate = cube.sizes["time"], float(cube.attrs["frame_rate"])
     spacing = float(cube.x[1] - cube.x[0])
     ratio, variance = np.full((2, steps), np.nan)
@@ -290,9 +296,9 @@ def rise_ratios(cube: xr.Dataset) -> tuple[Array, Array]:
 
 
 def discontinuous_steps(ratio: Array, variance: Array) -> NDArray[np.intp]:
-    """Return the indices of the steps at which the ratios (n,) of `rise_ratios` jump.
+    """Return the indices of the steps at which the ratios (n,) of `rise_ratios`, with their variances, jump.
     The ratio there differs significantly from the mean of the two neighbouring steps, and by more than at any
-    step that uses the same frames."""
+    other step up to `AROUND` steps away."""
     usual = np.nanmedian(ratio) if np.isfinite(ratio).any() else np.nan
     jump, std = np.full((2, ratio.size), np.nan)
     jump[1:-1] = ratio[1:-1] - 0.5 * (ratio[:-2] + ratio[2:])
@@ -304,8 +310,9 @@ def discontinuous_steps(ratio: Array, variance: Array) -> NDArray[np.intp]:
 
 
 def _slope(values: Array, on: Array, usable: Mask) -> tuple[float, float]:
-    """Return the slope of a regression of the field ``values`` on the field ``on``, and its variance.
-    The variance comes from the scatter between parts of the field; both are NaN if there are too few."""
+    """Return the slope of a regression of ``values`` on ``on``, both (ny, nx), and the variance of the slope.
+    Only nodes where ``usable`` is True count. The variance comes from the scatter between parts of the field;
+    slope and variance are NaN if too few parts have values."""
     # averages over patches keep the longer waves, whose phase changes less from step to step
     count = _patches(usable.astype(float))
     full = count > 0.5 * count.max()
@@ -324,22 +331,24 @@ def _slope(values: Array, on: Array, usable: Mask) -> tuple[float, float]:
 
 
 def _patches(values: Array) -> Array:
-    """Return the sums of a field (ny, nx) over square patches of nodes."""
+    """Return the sums of a field (ny, nx) over square patches of nodes, `PATCHES` along its shorter side."""
     side = max(min(values.shape) // PATCHES, 1)
     ny, nx = (n // side for n in values.shape)
     return np.asarray(values[: ny * side, : nx * side].reshape(ny, side, nx, side).sum(axis=(1, 3)))
 
 
 def steps_to_leave_out(discontinuous: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
-    """Return the steps of a record of ``steps`` that use frames from both sides of a discontinuity.
-    The result is empty if several discontinuities would cost more than half of the record."""
+    """Return the steps whose values use frames from both sides of a jump in time.
+    ``discontinuous`` are the steps with such jumps, and ``steps`` is the number of steps of the record. The
+    result is empty if there are several jumps and more than half of the record would be left out."""
     apart = np.abs(np.subtract.outer(np.arange(steps), discontinuous))
     out = np.flatnonzero(apart.min(axis=1, initial=steps) <= AROUND)
     return out if discontinuous.size == 1 or out.size <= 0.5 * steps else out[:0]
 
 
 def remark_on_kinematics(sample: xr.Dataset) -> Iterator[Remark]:
-    """Report that elevation and velocity of the steps in ``sample`` violate the kinematic condition."""
+    """Yield a remark if elevation and velocity violate the kinematic boundary condition.
+    ``sample`` holds some steps of the cube: the variables `COMPARED` and ``quality``."""
     measured = sample.quality.values & int(Quality.MEASURED) != 0
     fields, rate = {name: sample[name].values for name in COMPARED}, float(sample.attrs["frame_rate"])
     misfits = kinematic_misfit(fields, measured, float(sample.x[1] - sample.x[0]), rate)
@@ -358,7 +367,7 @@ def remark_on_kinematics(sample: xr.Dataset) -> Iterator[Remark]:
 
 
 def remark_on_cleared_steps(cube: xr.Dataset) -> Iterator[Remark]:
-    """Report the steps of a cube that are NaN because a frame was lost, doubled or late there."""
+    """Yield a remark on steps of a cube that were set to NaN because a frame was lost, doubled or late."""
     steps = np.flatnonzero(cube.frame_status.values == FrameStatus.DISCONTINUOUS)
     if steps.size:
         numbers = spell_ranges([int(cube.frame[0]) + int(k) for k in steps], 3)

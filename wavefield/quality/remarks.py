@@ -1,8 +1,8 @@
-"""Limits and explanations of all remarks, and the remarks on water level, grid, fields and probes.
+"""Limits and explanations used by all remarks, and the remarks on water level, grid, fields and probes.
 
-A remark is one finding about a measurement. It has a kind, which `explanations.yaml` explains, and three
-parts: what was found, what it means for the result, what to do. A step is the interval between two
-consecutive frames; a node is a point of the grid.
+A remark is one finding about a measurement. It has a kind, such as "holes", which `explanations.yaml`
+explains, and three parts: what was found, what it means for the result, what to do. A step is the interval
+between two consecutive frames; a node is a point of the grid.
 """
 
 from collections.abc import Iterator, Sequence
@@ -40,7 +40,7 @@ MAX_EPS_PIV = 0.15  # px: median of |eps'|; sound records have less than 0.1
 
 
 def remark_on_coverage(seen: float) -> Iterator[Remark]:
-    """Report that the fraction ``seen`` of the grid in view of every camera is less than half."""
+    """Yield a remark if ``seen``, the fraction of the grid that all cameras see, is less than half."""
     if seen < 0.5:
         yield Remark(
             "grid",
@@ -54,7 +54,7 @@ def remark_on_coverage(seen: float) -> Iterator[Remark]:
 
 
 def remark_on_holes(measured: float) -> Iterator[Remark]:
-    """Report that the fraction ``measured`` of the nodes in view is less than half."""
+    """Yield a remark if ``measured``, the measured fraction of the nodes in view, is less than half."""
     if measured < 0.5:
         yield Remark(
             "surface",
@@ -68,7 +68,8 @@ def remark_on_holes(measured: float) -> Iterator[Remark]:
 
 
 def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) -> Iterator[Remark]:
-    """Report a large residual ``eps_piv`` of the cameras' displacements after the fit of u, v, w, px."""
+    """Yield a remark if displacements in the images of different cameras do not fit one velocity u, v, w.
+    ``eps_piv`` is the residual of this fit, px; it and the elevation ``z`` are (n, ny, nx)."""
     valid = np.isfinite(z) & np.isfinite(eps_piv)
     misfit = float(np.median(np.abs(eps_piv[valid]))) if valid.any() else 0.0
     if misfit > MAX_EPS_PIV:
@@ -87,8 +88,9 @@ def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) ->
 def remark_on_unresolved_waves(
     fraction: float, wavelength: float, reason: str, remedy: str
 ) -> Iterator[Remark]:
-    """Report that waves of `wavelength` (m) and less, which are not resolved, have much of the variance of w.
-    `fraction` is their part of it; `reason` and `remedy` are sentences of the remark."""
+    """Yield a remark if waves that are not resolved cause over a tenth of the variance of w.
+    `fraction` is this part of the variance, and `wavelength` the longest of these waves, m. `reason` and
+    `remedy` are sentences of the remark."""
     if fraction > MAX_LOST:
         yield Remark(
             "surface",
@@ -102,7 +104,7 @@ def remark_on_unresolved_waves(
 
 
 def remark_on_steps(status: Status) -> Iterator[Remark]:
-    """Report steps that could not be measured, and measured steps that use bad frames."""
+    """Yield remarks on steps that could not be measured, and on measured steps that use bad frames."""
     if status.failed:
         everything = status.failed == status.steps
         yield Remark(
@@ -128,8 +130,8 @@ def remark_on_steps(status: Status) -> Iterator[Remark]:
 
 
 def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[str]) -> Iterator[Remark]:
-    """Report each camera that was left out at more than a tenth of the nodes.
-    ``cameras`` are the names of the cameras in the order of their bits in ``quality``."""
+    """Yield a remark on each camera without which more than a tenth of the nodes were measured.
+    ``quality`` (n, ny, nx) is the variable of the cube; ``cameras`` are names in the order of its bits."""
     has_value = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
     for number, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
@@ -147,7 +149,8 @@ def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[st
 
 
 def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("nan")) -> Remark:
-    """Report what defines z = 0; ``level_std`` is the standard uncertainty of this level, m, or NaN."""
+    """Return the remark on what z = 0 is: water at rest, mean surface, target's plane or light sheet.
+    ``level_std`` is the standard uncertainty of this level, m; NaN if unknown."""
     if experiment.settings.get("sheet_thickness") is not None:
         return _remark_on_sheet(experiment, rig)
     weight: Weight = "note"
@@ -183,7 +186,7 @@ def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("n
 
 
 def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
-    """Report where the light sheet is, in which z = 0 is, or that its position is unknown."""
+    """Return the remark on z = 0 in a light sheet: the height of the sheet, or that it is unknown."""
     sheet = rig.provenance.get("light_sheet")
     if not isinstance(sheet, dict) or "height_m" not in sheet:
         return Remark(
@@ -212,8 +215,8 @@ def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
 
 
 def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> Iterator[Remark]:
-    """Report wave probes that cannot be read, or that have no time in common with the frames.
-    ``span`` is the time of the first and of the last frame, s."""
+    """Yield a remark if the wave probes cannot be read, or have no time in common with the frames.
+    ``span`` holds the times of the first and the last frame, s."""
     try:
         probes = experiment.read_probes()
     except ExperimentError as error:
@@ -239,8 +242,8 @@ def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> I
 def remark_on_probes(
     experiment: Experiment, cube: "xr.Dataset", span: tuple[float, float]
 ) -> Iterator[Remark]:
-    """Report unusable wave probes, and probes that contradict the elevation in the cube.
-    ``span`` is the time of the first and of the last frame, s."""
+    """Yield remarks on unusable wave probes, and on probes that contradict the elevation in the cube.
+    ``span`` holds the times of the first and the last frame, s."""
     of_file = list(remark_on_probe_file(experiment, span))
     yield from of_file
     if of_file or not experiment.probes:
