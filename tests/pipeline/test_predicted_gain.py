@@ -5,7 +5,7 @@ import wavefield as wf
 from wavefield.grid import Grid
 from wavefield.matching import Prior
 from wavefield.measurement import GridGeometry, LearnedRecord, Settings
-from wavefield.measurement.resolution import tabulated
+from wavefield.measurement.model import tabulated
 from wavefield.tank import Scene
 from wavefield.waves.gains import read_gain
 

@@ -2,7 +2,7 @@
 
 `prepare` two images, then `match` them. The measurement evaluates the blocks again at a better displacement
 (pyramid.py), weighs them against a learned spectrum (spectrum.py, learned_spectrum.py, map_field.py) and
-computes the variance of the result (noise.py, map_variance.py). Loops over pixels are in kernels.py, loops
+computes the variance of the result (blocks.py, map_variance.py). Loops over pixels are in kernels.py, loops
 over blocks in blocks.py.
 
 Terms:
@@ -19,9 +19,6 @@ Terms:
 * to refine a spectrum: to compute it again from the MAP fields that a previous spectrum gave.
 """
 
-from wavefield.matching.prepared import PreparedImage, prepare
-from wavefield.matching.pyramid import match
-from wavefield.matching.settings import Displacement, MatchSettings, Reason
-from wavefield.matching.spectrum import Prior
+from wavefield.lazy_names import lazy_names
 
-__all__ = ["Displacement", "MatchSettings", "PreparedImage", "Prior", "Reason", "match", "prepare"]
+__all__, __getattr__, __dir__ = lazy_names(__name__, __file__)

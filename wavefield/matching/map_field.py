@@ -22,7 +22,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
-from wavefield.matching.noise import CLUSTER, hole_mask
+from wavefield.matching.blocks import CLUSTER, hole_mask
 from wavefield.matching.spectrum import Prior, wavenumbers
 
 Float = NDArray[Any]

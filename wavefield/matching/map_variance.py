@@ -11,8 +11,8 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from wavefield.compiled import compiled
+from wavefield.matching.blocks import hole_mask
 from wavefield.matching.map_field import cosines
-from wavefield.matching.noise import hole_mask
 from wavefield.matching.spectrum import Prior, wavenumbers
 
 Float = NDArray[Any]

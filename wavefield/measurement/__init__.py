@@ -13,23 +13,6 @@ All functions take and return arrays; step.py shows one step from top to bottom.
 * rise: change of elevation per step; texture: a water surface seen without beads.
 """
 
-from wavefield.measurement.diagnostics import Diagnosis, diagnose
-from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.model import LearnedRecord, Model
-from wavefield.measurement.record import learn, sample_steps
-from wavefield.measurement.resolution import gains
-from wavefield.measurement.settings import Settings
-from wavefield.measurement.step import measure
+from wavefield.lazy_names import lazy_names
 
-__all__ = [
-    "Diagnosis",
-    "GridGeometry",
-    "LearnedRecord",
-    "Model",
-    "Settings",
-    "diagnose",
-    "gains",
-    "learn",
-    "measure",
-    "sample_steps",
-]
+__all__, __getattr__, __dir__ = lazy_names(__name__, __file__)

@@ -14,11 +14,10 @@ from wavefield.measurement.displacement import flows
 from wavefield.measurement.elevation import PreparedImages, surface, windowed
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import Images, images_of
-from wavefield.measurement.model import Model
+from wavefield.measurement.model import Model, shortest_carried
 from wavefield.measurement.pair import PairMatch, match_pair
 from wavefield.measurement.paths import EVEN_TIMES
 from wavefield.measurement.record import learn
-from wavefield.measurement.resolution import shortest_carried
 from wavefield.measurement.velocity import velocity
 from wavefield.one_thread import one_thread
 from wavefield.variables import Quality

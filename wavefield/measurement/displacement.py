@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield import matching
+from wavefield.matching.blocks import noise_of_scores, trust_in_scores
 from wavefield.matching.blocks import slopes as slopes_of
 from wavefield.matching.map_field import Modes
-from wavefield.matching.noise import noise_of_scores, trust_in_scores
 from wavefield.matching.pyramid import reevaluate
 from wavefield.matching.spectrum import averaged
 from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel, Model

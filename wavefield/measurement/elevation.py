@@ -4,27 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from wavefield import matching
+from wavefield.matching.blocks import noise_of_scores
 from wavefield.matching.map_field import Modes
-from wavefield.matching.noise import noise_of_scores
 from wavefield.matching.pyramid import reevaluate, scores_at
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel
-from wavefield.measurement.outliers import inconsistent_pairs, inconsistent_scores
 from wavefield.measurement.pair import PairMatch, match_pair, quarter_turn
 from wavefield.measurement.regrid import blocks_below, local_coefficients, push_pull, read_surface
 from wavefield.variables import Quality
 
 Float = NDArray[np.floating]
+Mask = NDArray[np.bool_]
 PreparedImages = Mapping[str, matching.PreparedImage]
 
 _SMOOTH_MODES = 6  # cosines along each side: epipolar errors as smooth as these come from the calibration
 NOISE_MARGIN = 1.5  # factor on the noise across the sight lines, because learned spectra contain some noise
 MIN_MEASURED = 0.2  # least fraction of the common view with valid blocks; below, there is no surface
+MAX_PAIR_DIFFERENCE_PX = 1.5  # largest difference between the elevations of two pairs, as parallax
+_PAIR_MEAN_BLOCKS = (5, 5)  # blocks over which it is averaged
+_SCORE_MEAN_BLOCKS = (9, 9)  # blocks over which scores are averaged: noise is below a third of the next limit
+_MAX_SCORE_DIFFERENCE_PX = 0.75  # largest difference between two pairs' corrections, as parallax
+_MIN_RELATIVE_HESSIAN = 0.3  # over the mean: blocks with less do not determine an elevation
+_WINDOW_REACH = np.ones((5, 5), np.uint8)  # blocks that share the window of one block
 
 
 @dataclass(frozen=True)
@@ -33,7 +41,7 @@ class Blocks:
 
     z: Float  # (ny, nx): elevation, metres; NaN where no pair is valid
     eps_y: Float  # (ny, nx): epipolar error, metres; NaN where no pair is valid
-    valid: NDArray[np.bool_]  # (ny, nx): where at least one pair is valid
+    valid: Mask  # (ny, nx): where at least one pair is valid
     rejected: NDArray[np.uint16]  # (ny, nx): bits of `Quality`: why no pair is valid
 
     @property
@@ -75,7 +83,7 @@ class ElevationEstimate:
     # rms of the smooth epipolar error, as metres of elevation; it comes from the calibration, whose error
     # along the sight lines is assumed to be as large
     epipolar: float
-    inconsistent: NDArray[np.bool_] = field(repr=False)  # (ny, nx): where pairs contradict each other
+    inconsistent: Mask = field(repr=False)  # (ny, nx): where pairs contradict each other
 
 
 def map_elevation(
@@ -203,6 +211,44 @@ def _through(D: Float, h: Float) -> Float:
     return np.asarray(D[0] ** 2 * h[0] + 2 * D[0] * D[1] * h[1] + D[1] ** 2 * h[2])
 
 
+def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
+    """Return a mask (ny, nx) of blocks at which the z of successive pairs, matched alone, differ by > 1.5 px.
+    This finds errors larger than a bead, which scores do not show. `pixel` is in metres."""
+    out = np.zeros(matches[0].eps_y.shape, bool)
+    for one, other in pairwise(matches):
+        lengths = (np.sqrt(np.sum(np.square(m.parallax), axis=0)) for m in (one, other))
+        both = (one.valid & other.valid).astype(np.float32)
+        difference = (one.height - other.height) * np.minimum(*lengths) / np.float32(pixel)
+        mean = cv2.blur(np.where(both > 0, difference, np.float32(0)), _PAIR_MEAN_BLOCKS)
+        limit = np.float32(MAX_PAIR_DIFFERENCE_PX)
+        out |= np.abs(mean) > limit * np.maximum(cv2.blur(both, _PAIR_MEAN_BLOCKS), np.float32(0.2))
+    return widened(out)
+
+
+def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
+    """Return a mask (ny, nx) of blocks where successive pairs would correct the common z differently.
+    Scores and Hessians are for z; `lengths` (ny, nx) are parallaxes, px/m. This finds shifts of one pixel."""
+    means = [
+        (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
+        for s, h in zip(scores, hessians, strict=True)
+    ]
+    # At the common surface only noise is left. Its std is 0.02 to 0.07 px on bright and on dark images, at
+    # most 0.36 px. Matches may differ by more than a bead's width, which scores do not show.
+    out = np.zeros(scores[0].shape, bool)
+    for ((s, h), a), ((t, g), b) in pairwise(zip(means, lengths, strict=True)):
+        least = np.float32(_MIN_RELATIVE_HESSIAN)
+        usable = (h > least * h.mean()) & (g > least * g.mean())
+        heights = [np.divide(p, q, out=np.zeros_like(p), where=usable) for p, q in ((s, h), (t, g))]
+        difference = (heights[0] - heights[1]) * np.minimum(a, b)
+        out |= np.abs(difference) > np.float32(_MAX_SCORE_DIFFERENCE_PX)
+    return widened(out)
+
+
+def widened(where: Mask) -> Mask:
+    """Return the mask (ny, nx) with its True area extended by two blocks, the reach of a window."""
+    return np.asarray(cv2.dilate(where.view(np.uint8), _WINDOW_REACH) > 0)
+
+
 MatchedPairs = tuple[Blocks, list[PairMatch]]
 
 
@@ -216,11 +262,11 @@ class Surface:
     missing: Float  # (ny, nx): variance of waves that the prior suppresses, m^2
     epipolar: float  # rms of the smooth epipolar error as elevation, metres
     quality: NDArray[np.uint16]  # (ny, nx): bits of `Quality`: measured or filled, and why it was rejected
-    inconsistent: NDArray[np.bool_]  # (ny, nx): where pairs of cameras give different elevations
+    inconsistent: Mask  # (ny, nx): where pairs of cameras give different elevations
     # read(x, y): elevation at places x, y (ny, nx), one near each node, metres
     read: Callable[[Float, Float], Float] = field(repr=False)
     # is_measured(x, y, z): whether the surface was measured at these places
-    is_measured: Callable[[Float, Float, Float], NDArray[np.bool_]] = field(repr=False)
+    is_measured: Callable[[Float, Float, Float], Mask] = field(repr=False)
 
 
 def surface(prepared: PreparedImages, geometry: GridGeometry, model: FieldModel) -> Surface | None:
@@ -255,7 +301,7 @@ def surface_of(
     quality |= blocks.rejected
     measured = ((quality & Quality.MEASURED) > 0) & ~inconsistent
 
-    def is_measured(x: Float, y: Float, z: Float) -> NDArray[np.bool_]:
+    def is_measured(x: Float, y: Float, z: Float) -> Mask:
         below, inside = blocks_below(lattice, centre, x, y, z)
         return np.asarray(measured.ravel()[below] & inside)
 

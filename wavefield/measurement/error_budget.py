@@ -26,7 +26,6 @@ from wavefield.measurement.displacement import FlowEstimate
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.midtime import StepEstimate
 from wavefield.measurement.model import LearnedRecord
-from wavefield.measurement.outliers import MIN_NODES
 from wavefield.measurement.paths import (
     EVEN_TIMES,
     FRAMES_OF_Z,
@@ -36,7 +35,7 @@ from wavefield.measurement.paths import (
     path_gain,
 )
 from wavefield.measurement.regrid import BlockLattice
-from wavefield.measurement.velocity import WAVE_VARIANCES
+from wavefield.measurement.velocity import MIN_NODES, WAVE_VARIANCES
 from wavefield.rig.field import pixel_at
 from wavefield.variables import EXACT_SIX, PATH_WEIGHTS, frames_of_path
 from wavefield.water import dispersion

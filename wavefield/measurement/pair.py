@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wavefield import matching
 from wavefield.errors import CalibrationError
 from wavefield.matching import Reason
-from wavefield.matching.noise import CLUSTER
+from wavefield.matching.blocks import CLUSTER
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import prepare, ready, usable
 from wavefield.robust import robust_std

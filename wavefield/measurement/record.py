@@ -20,10 +20,10 @@ from scipy.special import gammaincinv
 from wavefield import matching
 from wavefield.images import fill_masked
 from wavefield.matching import Prior
+from wavefield.matching.blocks import noise_of_scores
 from wavefield.matching.kernels import BLOCK
 from wavefield.matching.learned_spectrum import first_prior, refined_prior, shrinkage
 from wavefield.matching.map_field import Modes, edge_field
-from wavefield.matching.noise import noise_of_scores
 from wavefield.matching.spectrum import (
     FIRST_SIGNAL_TO_NOISE,
     FOOTPRINT_VARIANCE,

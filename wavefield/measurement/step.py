@@ -8,7 +8,7 @@ displacement  match each camera in time                    `flows`, displacement
 mid-time      z from six instants, in moving water         `z_at_mid_time`, midtime.py
 paths         each camera's image velocity at the nodes    `displacements_at_nodes`, paths.py
 velocity      u, v, w by least squares over the cameras    `velocity`, velocity.py
-outliers      cameras that contradict the others           outliers.py, `estimate_step`
+outliers      cameras that contradict the others           `outlier_camera`, velocity.py
 budget        standard uncertainties                       `error_budget`, error_budget.py
 quality       why a node has no value                      `_quality`
 """
@@ -40,8 +40,6 @@ from wavefield.measurement.midtime import (
 )
 from wavefield.measurement.model import Model
 from wavefield.measurement.paths import EVEN_TIMES
-from wavefield.measurement.record import learn, sample_steps
-from wavefield.measurement.search_range import search_widened
 from wavefield.measurement.velocity import mean_flow, velocity
 from wavefield.one_thread import one_thread
 from wavefield.robust import robust_std
@@ -119,6 +117,10 @@ def measure(
         shape = steps, len(TERMS), 4, *geometry.grid.shape
         out["uncertainty_terms"] = np.full(shape, np.nan, np.float32)
     if model is None:
+        # imported here because a step with a given model needs neither
+        from wavefield.measurement.record import learn, sample_steps
+        from wavefield.measurement.search_range import search_widened
+
         samples = [1 + k for k in sample_steps(steps + 2)]
         pairs = [_pair(frames, k) for k in samples]
         geometry = search_widened(pairs, geometry)

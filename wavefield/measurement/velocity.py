@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -13,20 +13,18 @@ from numpy.typing import NDArray
 from wavefield.compiled import compiled
 from wavefield.measurement.displacement import Flows
 from wavefield.measurement.geometry import GridGeometry
-from wavefield.measurement.outliers import (
-    MAX_MISFIT,
-    MAX_NODE_MISFIT,
-    median_misfit,
-    outlier_camera,
-)
 from wavefield.measurement.paths import CameraDisplacements, displacements_at_nodes
 from wavefield.measurement.settings import Settings
 from wavefield.variables import Quality
 
 Float = NDArray[Any]
+Mask = NDArray[np.bool_]
 Matrix = tuple[Any, Any, Any, Any, Any, Any]  # numbers in numba, whose arithmetic mypy does not follow
 
 LEAST_PIVOT = 1e-9  # least pivot over its diagonal element at which the cameras determine all directions
+MAX_MISFIT = 12.0  # largest median over the nodes of chi^2 per degree of freedom; above, cameras contradict
+MAX_NODE_MISFIT = 3 * MAX_MISFIT  # the same for a single node
+MIN_NODES = 50  # fewest nodes for a median
 
 njit = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 
@@ -201,6 +199,25 @@ def velocity(
     against = motion.misfit > (MAX_NODE_MISFIT if explained else 0.0)
     rejected = np.where(against, np.uint16(Quality.REJECTED_EPS | Quality.FILLED), np.uint16(0))
     return replace(motion, quality=motion.quality | rejected)
+
+
+def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
+    """Return the index of the only camera without which the others agree; None if not exactly one.
+
+    `misfit` is the median chi^2 per degree of freedom with all cameras, `misfit_without(n)` that without
+    camera n. In a line of three cameras the one that moved along it is not found: any two agree.
+    """
+    if n_cameras < 3 or not misfit > MAX_MISFIT:
+        return None
+    limit = min(MAX_MISFIT, 0.1 * misfit)
+    explain = [n for n in range(n_cameras) if misfit_without(n) < limit]
+    return explain[0] if len(explain) == 1 else None
+
+
+def median_misfit(misfit: Float, measured: Mask) -> float:
+    """Median of the misfit (ny, nx) over nodes that all cameras measured; 0 if there are too few."""
+    good = measured & np.isfinite(misfit)
+    return float(np.median(misfit[good])) if good.sum() >= MIN_NODES else 0.0
 
 
 def mean_flow(

@@ -235,7 +235,7 @@ def _gain(
     once: Mapping[str, Delayed], geometry: "GridGeometry"
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the lazy tables (dimensions, array) of the response to waves, and the axes of the tables."""
-    from wavefield.measurement.resolution import tabulated
+    from wavefield.measurement.model import tabulated
 
     table = tabulated(geometry, None)
     dims = TABLE["gain/gain_z"].dims

@@ -105,6 +105,6 @@ def learn_from(
 def once_per_cube(geometry: "GridGeometry", record: "LearnedRecord | None") -> dict[str, np.ndarray]:
     """Return the response to waves and ``z_level_std``, the standard uncertainty of the level z = 0, m."""
     from wavefield.measurement.error_budget import level_std
-    from wavefield.measurement.resolution import tabulated
+    from wavefield.measurement.model import tabulated
 
     return tabulated(geometry, record) | {"z_level_std": np.asarray(level_std(geometry, record), np.float64)}

@@ -26,7 +26,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavefield.measurement.outliers import MIN_NODES
+from wavefield.measurement.velocity import MIN_NODES
 from wavefield.quality.cameras import MIN_PATCHES, SIDE, Array, Pair, Read, rms_over_field, scaled
 from wavefield.quality.remarks import CELLS, GRAVE_EPS_Y, MAX_EPS_Y, MAX_SAMPLES, SIGNIFICANCE
 from wavefield.robust import robust_std

@@ -20,7 +20,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from wavefield.measurement.outliers import MIN_NODES
+from wavefield.measurement.velocity import MIN_NODES
 from wavefield.quality.remarks import CELLS, MAX_LOST, SIGNIFICANCE
 from wavefield.robust import PER_MEDIAN
 from wavefield.series import Experiment, FrameSeries
