@@ -109,7 +109,7 @@ def nonlinear_ratio_curves(ratio: xr.Dataset) -> Figure:
     Parameters
     ----------
     ratio : Dataset
-        Group ``/kinematics`` of a wave store, or the result of `wavefield.nonlinear_ratio`.
+        Group ``/kinematics`` of a wave store, as from `wavefield.analyze`.
 
     Returns
     -------

@@ -1,8 +1,8 @@
-"""Wave spectra, the nonlinear term and coherence of a cube, with confidence intervals.
+"""Wave spectra, statistics, kinematics and coherence of a water surface, with confidence intervals.
 
-A cube holds the elevation z, its rate of rise z_t and the velocity u, v, w over (time, y, x), in metres and
-seconds. The functions take and return labelled xarray objects. They read cubes on disk in pieces, so memory
-stays bounded however long the record is.
+A cube is a Dataset with the elevation z (m), its rate of rise z_t at a fixed place and the velocity u, v, w
+of the water at the surface (m/s) over (time, y, x). The functions take and return labelled xarray objects.
+They read cubes on disk in pieces, so memory stays bounded however long the record is.
 """
 
 from wavefield.lazy_names import lazy_names

@@ -1,4 +1,4 @@
-"""The xarray accessor ``cube.waves``: the wave estimators as methods of a cube."""
+"""The xarray accessor ``cube.waves``: the estimators of `wavefield.waves` as methods of a cube."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,17 +15,26 @@ class WavesAccessor:
     Parameters
     ----------
     cube : Dataset
-        z, z_t, u, v, w over (time, y, x), m and m/s, from `wavefield.open_cube` or `wavefield.cube`.
+        Elevation z (m), rate of rise z_t and velocity u, v, w (m/s) over (time, y, x), from
+        `wavefield.open_cube` or `wavefield.cube`. xarray passes it when ``cube.waves`` is used.
+
+    Raises
+    ------
+    KeyError
+        If the named field is not in the cube. Other errors are those of the functions.
 
     Notes
     -----
-    Every method calls the function of the same name with its keywords. Methods that analyse a single field
-    take its name as their first argument.
+    Each method returns the result of the function of `wavefield.waves` with the same name. `fit_dispersion`,
+    `directions`, `kinematics`, `coherence`, `statistics`, `crest_statistics`, `phase_average` and `analyze`
+    pass the cube to it, and all their arguments. `spectrum` and `komega` (of "w" by default) and
+    `structure_functions` (of "z" by default) pass one field, whose name is their first argument; all other
+    arguments are keywords.
 
     Examples
     --------
     >>> import wavefield as wf
-    >>> wf.open_cube("sea.zarr").waves.spectrum("w").E.dims
+    >>> wf.open_cube("sea.zarr").waves.spectrum("z", segment=256).E.dims
     ('omega', 'ky', 'kx')
     """
 
@@ -34,8 +43,9 @@ class WavesAccessor:
 
 
 def _method(name: str, field: str | None) -> Callable[..., Any]:
-    """Return a method of the accessor that calls the estimator `name` of `wavefield.waves`.
-    The estimator receives the cube if `field` is None, otherwise the named variable, by default `field`."""
+    """Return a method of the accessor that calls the function `name` of `wavefield.waves`.
+    The function receives the cube if `field` is None, otherwise one variable of the cube: the one that the
+    caller names, by default `field`."""
 
     def call_with_cube(self: WavesAccessor, *args: Any, **options: Any) -> Any:
         return getattr(waves, name)(self._cube, *args, **options)

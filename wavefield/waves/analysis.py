@@ -1,13 +1,13 @@
-"""Analysis of a cube: sums over its segments in one pass, then all registered wave products.
+"""Analysis of a cube: one pass over its Welch segments, then every result in the registry of wave products.
 
-`wavefield.analyze` writes the result to a Zarr hierarchy, which ``xarray.open_datatree(path, engine="zarr")``
-reads without this package. The documentation's page on waves lists its groups and variables.
+`wavefield.analyze` writes these results to a Zarr hierarchy, which ``xarray.open_datatree(path,
+engine="zarr")`` reads without this package. The documentation's page on waves lists its groups and variables.
 
-The wave vector k points where the wave goes: f = Re sum F exp(i (k . x - omega t)) with omega > 0. Spectra
-are densities per rad/m and rad/s, one-sided in omega; their integral is the variance. Coordinates are
-``omega`` (rad s-1) with ``frequency`` (Hz), ``k`` (rad m-1, centres of rings) with ``cycles`` (m-1), ``kx``
-and ``ky`` (rad m-1). ``low`` and ``high`` are factors: the 95 % interval is ``low`` E to ``high`` E.
-``valid`` marks the reliable part of a spectrum.
+The wave vector k points where the wave goes: a field is Re sum F exp(i (k . x - omega t)) over waves with
+omega > 0 and complex amplitudes F. Spectra are densities per rad/m and rad/s, one-sided in omega; their
+integral is the variance. Coordinates are ``omega`` (rad s-1) with ``frequency`` (Hz), ``k`` (rad m-1, centres
+of rings) with ``cycles`` (m-1), ``kx`` and ``ky`` (rad m-1). The 95 % interval of a spectrum E extends from
+``low`` times E to ``high`` times E. ``valid`` marks the reliable part of a spectrum.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -51,7 +51,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass
 class Sums:
-    """Sums over one chain of up to four consecutive segments, or over several chains."""
+    """Sums that one pass over a cube collects, over a chain of up to four segments or over several chains."""
 
     ring_sums: dict[str, Array] = field(default_factory=dict)  # powers and cross products
     survey_sums: dict[str, Array] = field(default_factory=dict)  # sums of powers and histograms
@@ -69,7 +69,7 @@ class Sums:
 
 @dataclass(frozen=True)
 class _Chain:
-    """Task of a worker: read a chain of up to four consecutive segments and return its sums."""
+    """Task of a worker: called with the half segments of one chain, it reads them and returns `Sums`."""
 
     read: Reader
     welch: Welch
@@ -107,7 +107,7 @@ class _Chain:
 
 
 def _in_threads(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
-    """Map work over items in a few threads, and yield the results in order."""
+    """Yield ``work(item)`` for each item, in the order of `items`; a few threads compute them."""
     with ThreadPoolExecutor(dask.config.get("num_workers")) as pool:
         yield from pool.map(work, items)
 
@@ -115,7 +115,8 @@ def _in_threads(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[An
 def one_pass(
     cube: xr.Dataset, welch: Welch, requested: Requested, progress: Progress | None, each: Each
 ) -> dict[str, Any]:
-    """Read a cube once, and return the sums over its segments that the wave products need, by name."""
+    """Read a cube once, and return the sums that wave products need, by their names in `products.GIVEN`.
+    `each(work, items)` maps work over chains of segments; `progress(done, total)` receives their numbers."""
     record = welch.record
     scale = moments.rough_scales(cube, record, list(moments.QUANTITIES.values()))
     read = Reader([cube[name] for name in FIELDS], record)
@@ -149,14 +150,45 @@ def analyze(
     Parameters
     ----------
     cube : Dataset
-        z, z_t, u, v, w over (time, y, x), m and m/s.
-    progress, each, probes, segment, depth, gain, current
-        As in `wavefield.analyze`.
+        z (m), z_t, u, v, w (m/s) over (time, y, x).
+    progress : callable, optional
+        Called with the number of parts done and the number of all parts.
+    each : callable, optional
+        ``each(work, items)`` yields ``work(item)`` for every item, in order; by default two threads compute
+        them.
+    probes : Dataset, optional
+        Wave probes, from `wavefield.read_probes`. Without them, there are no spectra of probes.
+    segment : int, optional
+        Steps of a Welch segment, even; by default about a quarter of the longest run of steps, 64 to 512.
+    depth : float, optional
+        Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep water.
+    gain : path, Dataset or False, optional
+        Amplitude gains of the measurement, ``gain_z`` and ``gain_w`` (direction, k), for which spectra are
+        corrected where they exceed 0.5; by default those in the cube. False: no correction.
+    current : tuple of float, optional
+        Velocity of the water along x and y, m/s, used if none can be fitted to the dispersion relation; by
+        default zero.
 
     Returns
     -------
     DataTree
-        One group for each kind of product.
+        One group per kind of product, such as ``spectra`` and ``coherence``. The documentation's page on
+        waves lists the variables of each group, with units and dimensions.
+
+    Raises
+    ------
+    CubeError
+        If the cube lacks a variable, is shorter than a segment, has unequal steps or no rectangle of measured
+        nodes, or if the probes were not recording at the time.
+    StoreError
+        If the gain cannot be read or lacks ``gain_z`` or ``gain_w``.
+
+    Examples
+    --------
+    >>> import wavefield as wf
+    >>> found = wf.waves.analyze(wf.open_cube("sea.zarr"))
+    >>> found["spectra"].E.dims
+    ('quantity', 'omega', 'k')
     """
     if not isinstance(cube, xr.Dataset):
         raise CubeError(f"analyze needs a cube, got {described(cube)}: give the cube itself")
@@ -252,7 +284,8 @@ FEW_SEGMENTS = 7  # the default segment is a quarter of the record and gives sev
 
 
 def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
-    """Return sentences for the user on the part of the cube that was used, its gaps and its length."""
+    """Return sentences for the user on the part of the cube that was used, its gaps and its length.
+    An infinite or NaN `depth` counts as unknown."""
     record, count, sizes = welch.record, welch.count, cube.sizes
     used = record.steps_in_runs(welch.segment)
     out = []
@@ -283,7 +316,7 @@ def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
 
 
 def _note_on_holes(record: Record, z: xr.DataArray) -> str:
-    """Return a sentence on the filled nodes: their number, their error, and what it adds to E(omega) of z."""
+    """Return a sentence on interpolated nodes: their number, the error of z there, its effect on E(omega)."""
     share = record.holes / (record.steps_in_runs() * record.shape[0] * record.shape[1])
     text = f"{record.holes} missing nodes ({100 * share:.2g} %) were filled from their neighbours"
     error = filled_error(record, z)

@@ -1,7 +1,10 @@
 """Bicoherence and tricoherence of time series: phase coupling of three and of four waves.
 
-The argument `z` is an array (n, samples) of Fourier coefficients at n frequencies, also called lines. Z1 is
-the row of z at omega1. A sample is one segment at one point.
+Bicoherence is |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>) with omega3 = omega1 + omega2. Tricoherence is the
+largest |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3 Z4|^2>) of all omega3, omega4 with omega3 + omega4 = omega1
++ omega2. Zi is the Fourier coefficient at omega_i and <> the mean over samples; a sample is one segment at
+one point. The argument `z` is an array (n, samples) of coefficients at the n lowest frequencies, called
+lines.
 """
 
 import numpy as np
@@ -21,7 +24,8 @@ SHARED = 0.1
 
 def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
     """Return the lowest `count` Fourier coefficients of the segments of `series` (time, points).
-    The result is (count, segments * points); segments overlap by half, under a Hann window."""
+    The result is (count, segments * points). Segments have `segment` steps, overlap by half and have a Hann
+    window."""
     half = segment // 2
     window = hann(segment).astype(series.dtype)[:, None]
     out = []
@@ -32,7 +36,7 @@ def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
 
 
 def bicoherence_of(z: np.ndarray) -> np.ndarray:
-    """Return the bicoherence of each pair of frequencies, (n, n), from coefficients z (n, samples).
+    """Return the bicoherence of each pair (omega1, omega2), (n, n), from coefficients `z` (n, samples).
     It is NaN where omega1 or omega2 is zero, or omega1 + omega2 is not among the n frequencies."""
     n = z.shape[0]
     out = np.full((n, n), np.nan)
@@ -47,16 +51,16 @@ def bicoherence_of(z: np.ndarray) -> np.ndarray:
 
 
 def correlations_of(z: np.ndarray) -> np.ndarray:
-    """Return the squared correlation of each pair of frequencies, (n, n), over samples of z (n, samples)."""
+    """Return the squared correlation of the coefficients at two lines, (n, n), from `z` (n, samples)."""
     gram = np.abs(z @ z.conj().T) ** 2
     power = np.maximum(gram.diagonal(), 1e-300)
     return np.asarray(gram / np.sqrt(power[:, None] * power))
 
 
 def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarray:
-    """Return the largest tricoherence of each pair of frequencies, (n, n), from coefficients z (n, samples).
-    Left out are omega3 within two lines of omega1, and quartets whose correlations by leakage, from `shared`
-    (n, n), exceed `limit`."""
+    """Return the largest tricoherence of each pair (omega1, omega2), (n, n), from `z` (n, samples).
+    Left out are omega3 within two lines of omega1, and quartets that leakage correlates: those for which
+    products of `shared` (n, n), the correlations by leakage between two lines, exceed `limit`."""
     n = z.shape[0]
     (herk,) = linalg.get_blas_funcs(("herk",), (z,))
     value = np.full((n, n), np.nan)
@@ -83,9 +87,9 @@ def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarr
 
 
 def shuffle_phases(z: np.ndarray, points: int, rng: np.random.Generator) -> np.ndarray:
-    """Return z times a random phase for each frequency and segment, (n, segments * points).
-    In z (n, segments * points), `points` consecutive samples belong to a segment and get the same phase. So
-    the points remain correlated, but the phases of different frequencies are no longer coupled."""
+    """Return `z` (n, segments * points) times a random phase factor for each line and segment.
+    The `points` consecutive samples of a segment get the same factor, so that points remain correlated but
+    the phases of different lines are no longer coupled."""
     n, samples = z.shape
     phase = np.exp(2j * np.pi * rng.random((n, samples // points))).astype(z.dtype)
     return np.asarray(z * np.repeat(phase, points, axis=1))
@@ -99,15 +103,16 @@ SAMPLES = 4000  # largest number of segments times points, for the cost; further
 
 def _level_of_one(surrogates: list[np.ndarray]) -> np.ndarray:
     """Return the bicoherence that each pair of frequencies exceeds by chance in 5 % of cases, (n, n).
-    The mean square of the `surrogates`, bicoherences of random phases, is 1 / N for N independent samples."""
+    The `surrogates` are bicoherences of random phases; their mean square is 1 / N for N independent
+    samples."""
     mean = np.mean(np.square(surrogates), axis=0)
     return np.asarray(np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9))))
 
 
 def _level_of_largest(surrogates: list[np.ndarray]) -> np.ndarray:
     """Return the tricoherence that each pair of frequencies exceeds by chance in 5 % of cases, (n, n).
-    It is a quantile of Gumbel's distribution, since each of the `surrogates` is the largest of many values.
-    """
+    It is a quantile of Gumbel's distribution, because the `surrogates`, tricoherences (n, n) of random
+    phases, are each the largest of many values."""
     quantile, count = -np.log(-np.log(1 - CHANCE)), len(surrogates)
     # Student's t instead of a normal quantile, because mean and scale are of few surrogates
     wider = special.stdtrit(count - 1, 1 - CHANCE) / special.ndtri(1 - CHANCE) * np.sqrt(1 + 1 / count)
@@ -116,12 +121,10 @@ def _level_of_largest(surrogates: list[np.ndarray]) -> np.ndarray:
 
 
 def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
-    """Return bicoherence and tricoherence, with their 5 % significance levels, of `series` (time, points).
-    Both are Datasets over (omega1, omega2), rad/s. Bicoherence is |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>)
-    with omega3 = omega1 + omega2; tricoherence is the largest |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3
-    Z4|^2>) with omega3 + omega4 = omega1 + omega2. Phase-randomised surrogates, which keep the correlation
-    between points, exceed the levels in 5 % of cases. Raises CubeError for a single segment, in which all
-    phases appear coupled."""
+    """Return bicoherence and tricoherence of `series` (time, points) over (omega1, omega2), rad/s.
+    ``..._level`` are the values that surrogates with random phases, but the same correlation between points,
+    exceed in 5 % of cases. `dt` is the time step, s; `segment` is shortened if it has more than 48 lines
+    below 5 Hz. Raises CubeError for a single segment, in which all phases appear coupled."""
     count = min(segment // 2 + 1, int(HIGHEST_HZ * segment * dt) + 1)
     if count > LINES:
         segment = max(int(segment * LINES / count) // 2 * 2, 16)
@@ -157,7 +160,7 @@ def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
 
 def _group(series: np.ndarray, welch: Welch) -> xr.Dataset | Noted:
     """Return the group `higher_order` of `analyze`, or only a note if there are fewer than four segments.
-    `series` (time, points) is the elevation or velocity at some points."""
+    `series` (time, points) is the vertical velocity w at points about 8 cm apart."""
     if welch.count < LEAST_COUNT:
         return Noted(None, ["Bicoherence and tricoherence were left out: they need four segments at least."])
     return higher_order(series, welch.record.dt, welch.segment)

@@ -22,8 +22,9 @@ LEVELS = np.arange(0.0, 5.01, 0.25)  # in standard deviations; one wave in 270,0
 
 
 def extremes(series: Array) -> tuple[Array, Array, Array]:
-    """Return the start, crest height and trough depth of each wave in a series (time,), each (waves,).
-    A wave lies between two zero up-crossings; a parabola through three steps refines its crest and trough."""
+    """Return three arrays (waves,) for a series (time,): first step, crest height and trough depth.
+    A wave lies between two zero up-crossings. A parabola through three steps refines crest and trough; the
+    depth is positive."""
     start = np.flatnonzero((series[:-1] < 0) & (series[1:] >= 0))
     if start.size < 2:
         return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
@@ -46,7 +47,7 @@ def distant_nodes(block: Array, record: Record) -> Array:
 
 
 def _series(field: xr.DataArray, record: Record) -> list[Array]:
-    """Return the elevation z at points about 8 cm apart, (time, points), for each run of the record."""
+    """Return the elevations (time, points) in each unbroken run of steps, at nodes about 8 cm apart."""
     read = Reader([field], record)
     return [
         np.concatenate([distant_nodes(block, record).astype(float) for (block,) in read.blocks(run)])
@@ -55,8 +56,9 @@ def _series(field: xr.DataArray, record: Record) -> list[Array]:
 
 
 def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array, Array]:
-    """Return sums of z^0 to z^4 (blocks, 5), and the numbers of crests and of troughs (blocks, levels).
-    The `runs` (time, points) are cut into blocks of `block` steps; levels are `LEVELS` times `sigma`."""
+    """Return sums of z^0 to z^4 (blocks, 5), and the numbers of crests and of troughs that reach levels.
+    Both numbers are (blocks, levels). The `runs`, elevations z (time, points) without their mean, are cut
+    into blocks of `block` steps; levels are `LEVELS` times `sigma`, in m."""
     sums, above = [], []
     for run in runs:
         count = run.shape[0] // block
@@ -75,7 +77,7 @@ def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array
 
 
 def _moments(sums: Array) -> Array:
-    """Return significant height, skewness and excess kurtosis, (..., 3), from sums of powers, (..., 5)."""
+    """Return significant height, skewness, excess kurtosis, (..., 3), from sums of z^0 to z^4, (..., 5)."""
     mean, m2, m3, m4 = (sums[..., p] / sums[..., 0] for p in (1, 2, 3, 4))
     variance = m2 - mean**2
     third = m3 - 3 * mean * m2 + 2 * mean**3
@@ -84,8 +86,8 @@ def _moments(sums: Array) -> Array:
 
 
 def tayfun(level: Array, skewness: float) -> Array:
-    """Return the probability that a crest of a second-order sea exceeds a level (Tayfun 1980).
-    The level is in standard deviations of z. A skewness of zero or less gives Rayleigh's distribution."""
+    """Return the probability that a crest in a second-order sea exceeds each `level` (Tayfun 1980).
+    Levels are in standard deviations of z. A `skewness` of zero or less gives Rayleigh's distribution."""
     steepness = max(float(skewness), 0.0) / 3
     level = np.asarray(level, float)
     if steepness < 1e-6:
@@ -100,28 +102,29 @@ def crest_statistics(cube: xr.Dataset) -> xr.Dataset:
     Parameters
     ----------
     cube : Dataset
-        With z over (time, y, x), m. A cube on disk is read in pieces.
+        With the elevation z (m) over (time, y, x). A cube on disk is read in pieces.
 
     Returns
     -------
     Dataset
-        ``significant_height`` (m), ``skewness``, ``kurtosis`` (excess) and their standard uncertainties
-        ``_std``; ``mean_period`` (s) between zero up-crossings; ``waves``, the number of waves at all
-        points. Over ``level``, in standard deviations of z: ``crest_exceedance`` and
+        ``significant_height`` (m), ``skewness`` (1), ``kurtosis`` (excess, 1) and their standard
+        uncertainties ``_std``; ``mean_period`` (s) between zero up-crossings; ``waves``, the number of waves
+        at all points. Over ``level``, which is 0 to 5 standard deviations of z: ``crest_exceedance`` and
         ``trough_exceedance``, the fractions of crests and troughs that reach the level, with their
-        ``_std``; ``rayleigh`` and ``tayfun``, the fractions that these distributions predict. Attribute
-        ``blocks``, the number of blocks in the bootstrap.
+        standard uncertainties ``_std``; ``rayleigh`` and ``tayfun``, the fractions that these distributions
+        predict. Attribute ``blocks``, the number of blocks in the bootstrap.
 
     Raises
     ------
     CubeError
-        If the cube has no z, or the record contains fewer than eight blocks of ten mean periods.
+        If the cube has no z, fewer than 8 x 8 nodes are measured, or the record contains fewer than eight
+        blocks of ten mean periods.
 
     Notes
     -----
-    Elevations are taken at points 8 cm apart and refer to each point's mean in time. The uncertainties are
-    from a bootstrap over blocks of ten mean periods that contain all points. Tayfun: J. Geophys. Res. 85
-    (1980) 1548.
+    Elevations are taken at nodes about 8 cm apart and refer to the mean in time of each node. The
+    uncertainties are from a bootstrap over blocks of ten mean periods that contain all points. Tayfun: J.
+    Geophys. Res. 85 (1980) 1548.
 
     Examples
     --------

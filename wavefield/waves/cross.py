@@ -37,7 +37,7 @@ _DIMS = {
 def _estimates(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> dict[str, Array]:
-    """Return the variables of `cross_spectra`, with the dimensions of `_DIMS`, from sums of `add_segment`."""
+    """Return the variables of `cross_spectra`, with the dimensions of `_DIMS`, from sums over segments."""
     freedom = {name: ring_freedom(sums, name, welch) for name in names}
     if "nl" in names:
         waves = next(name for name in ("w", "rise", *names) if name in names)
@@ -59,7 +59,7 @@ def _estimates(
 def label(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
-    """Return the result of `cross_spectra` from the sums of `add_segment` over all segments."""
+    """Return the result of `cross_spectra` from `sums` of `sums.add_segment` over all segments."""
     coords: dict[str, Any] = {"quantity": list(names)} | omega_coords(welch.omega) | k_coords(welch.table.k)
     if pairs:
         coords["pair"] = ["*".join(pair) for pair in pairs]
@@ -70,7 +70,7 @@ def label(
 
 
 def checked_fields(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return the fields from which the quantities `names` are computed, in m and m/s, or raise CubeError."""
+    """Return the fields that the quantities `names` need, in m and m/s; CubeError if one is missing."""
     fields = sources(names)
     for field in fields:
         if field not in cube:
@@ -87,11 +87,11 @@ def cross_spectra(
     segment: int | None = None,
     record: Record | None = None,
 ) -> xr.Dataset:
-    """Return power and cross spectra of some of the quantities z, z_t, u, v, w, nl and rise of a cube.
-    nl is (u - U) . grad z and rise is z_t + U . grad z, with the mean U of u, v. The spectra E (quantity,
-    omega, k) and S = <conj(a) b> (pair, omega, k), of `pairs` named "a*b", are integrated over the direction
-    of k. The phase of S refers to waves exp(i (k . x - omega t)) with omega > 0. ``dof`` and ``samples`` are
-    the degrees of freedom of E and the number of independent samples in S."""
+    """Return power spectra E of the quantities `names` of a cube, and cross spectra S of the `pairs`.
+    Quantities are z, z_t, u, v, w, nl = (u - U) . grad z and rise = z_t + U . grad z, with the mean U of u,
+    v. E (quantity, omega, k) and S = <conj(a) b> (pair "a*b", omega, k) are integrated over the direction of
+    k. The phase of S refers to waves exp(i (k . x - omega t)), omega > 0. ``dof`` and ``samples`` are the
+    degrees of freedom of E and the number of independent samples in S."""
     cube = checked_fields(cube, names)
     welch = Welch.of(cube, segment, record)
     # the current decides how long waves stay in the window, and so the degrees of freedom
@@ -106,8 +106,9 @@ def with_mean_current(cube: xr.Dataset, welch: Welch) -> Welch:
 
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
-    """Return `ring` with E divided by the power gain of the measurement, and with the mask ``valid_k``.
-    The quantities rise and nl are not corrected, and their mask is false."""
+    """Return the `cross_spectra` `ring` with E divided by the power gain of the measurement, and a mask.
+    The mask ``valid_k`` (quantity, k) is true where the gain is known and large enough. The quantities rise
+    and nl are not corrected, and their mask is false."""
     names = ring["quantity"].values
     factor, valid = np.ones((names.size, ring.sizes["k"])), np.zeros((names.size, ring.sizes["k"]), bool)
     for i, name in enumerate(names):
@@ -125,7 +126,8 @@ def _spectra(
     filled: Mapping[str, float],
 ) -> xr.Dataset:
     """Return the group `spectra` of `analyze`: E(k, omega), E(k) and E(omega), with 95 % intervals.
-    `filled` is, by quantity, the error in E(omega) due to interpolated nodes; it limits ``valid``."""
+    `ring` is from `label`. `filled` is, by quantity, the error of E(omega) due to interpolated nodes;
+    ``valid`` is false where E does not exceed four times this error."""
     valid = ring["valid"]
     for name, added in filled.items():
         if added:
@@ -168,7 +170,7 @@ def _above_noise(energy: xr.DataArray) -> xr.DataArray:
 
 
 def coherence_group(ring: xr.Dataset) -> xr.Dataset:
-    """Return the result of `coherence` from the `cross_spectra` of rise, w and nl, their pairs included."""
+    """Return the result of `coherence` from `ring`, the `cross_spectra` of rise, w, nl and their pairs."""
     rise, w, nl = (ring["E"].sel(quantity=name, drop=True) for name in COHERENCE_NAMES)
     rise_w, rise_nl, w_nl = (ring["S"].sel(pair="*".join(pair), drop=True) for pair in COHERENCE_PAIRS)
     terms = xr.Variable("term", list(TERMS))
@@ -199,24 +201,24 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None) -> xr.Dataset:
     Parameters
     ----------
     cube : Dataset
-        z, z_t, u, v, w over (time, y, x), m and m/s. A cube on disk is read once, in pieces.
+        z (m), z_t, u, v, w (m/s) over (time, y, x). A cube on disk is read once, in pieces.
     segment : int, optional
-        Steps of a Welch segment; by default chosen from the record.
+        Steps of a Welch segment, even; by default about a quarter of the longest run of steps, 64 to 512.
 
     Returns
     -------
     Dataset
-        Over (term, k), for the terms w, nl (-u . grad z) and tot (their sum): the complex coherence ``C``,
-        with the same norm for all terms; the squared coherence ``gamma2``; the number of independent
-        ``samples``; and ``level``, the gamma2 that unrelated signals exceed in 5 % of cases. The same names
-        with ``_komega`` are over (term, omega, k). ``valid`` (k) is true where the energies of z_t and w are
-        more than three times their noise; elsewhere the coherence may be due to noise, which is
-        coherent, too.
+        All variables are dimensionless. Over (term, k), for the terms w, nl (-u . grad z) and tot (their
+        sum): the complex coherence ``C``, with the same norm for all terms; the squared coherence ``gamma2``;
+        the number of independent ``samples``; and ``level``, the gamma2 that unrelated signals exceed in 5 %
+        of cases. ``C_komega``, ``gamma2_komega``, ``samples_komega`` and ``level_komega`` are the same over
+        (term, omega, k). ``valid`` (k) is true where the energies of z_t and w are more than three times
+        their noise; elsewhere a coherence may be due to noise, because z_t and w have some noise in common.
 
     Raises
     ------
     CubeError
-        If a variable is missing, the record is shorter than a segment or no rectangle is fully measured.
+        If a variable is missing, the record is shorter than a segment or fewer than 8 x 8 nodes are measured.
 
     Notes
     -----
@@ -250,25 +252,32 @@ def plane_coherence(cube: xr.Dataset) -> xr.Dataset:
     Parameters
     ----------
     cube : Dataset
-        z, z_t, u, v, w over (time, y, x), m and m/s. A cube on disk is read once, in pieces.
+        z (m), z_t, u, v, w (m/s) over (time, y, x). A cube on disk is read once, in pieces.
 
     Returns
     -------
     Dataset
-        ``plane_C`` (term, ky, kx), the modulus of the coherence for the terms w, nl and tot, at kx >= 0;
-        ``mean_C`` (term, k), its mean over each ring of |k|. Attribute ``steps``, the number of steps
-        used.
+        ``plane_C`` (term, ky, kx), dimensionless, the modulus of the coherence at wave vectors (rad/m) with
+        kx >= 0, for the terms w, nl (-u . grad z) and tot (their sum); ``mean_C`` (term, k), its mean over
+        each ring of |k|. Attribute ``steps``, the number of steps used.
 
     Raises
     ------
     CubeError
-        If a variable is missing or no rectangle is fully measured.
+        If a variable is missing, the record is shorter than a segment or fewer than 8 x 8 nodes are measured.
 
     Notes
     -----
     |<conj(z_t) a>| / sqrt(<|z_t|^2> <|w - u . grad z|^2>) for a term a, with the covariance <> over time of
-    spatial transforms, as in Aubourg et al. N independent samples of unrelated signals give about 0.9 /
-    sqrt(N). `coherence` averages over directions before it takes the ratio, and does not have this bias.
+    spatial transforms, as in Aubourg et al., Exp. Fluids (2019). As in `coherence`, the frame moves with the
+    mean of u, v. N independent samples of unrelated signals give about 0.9 / sqrt(N). `coherence` averages
+    over directions before it takes the ratio, and does not have this bias.
+
+    Examples
+    --------
+    >>> from wavefield import open_cube, waves
+    >>> waves.plane_coherence(open_cube("sea.zarr")).plane_C.dims
+    ('term', 'ky', 'kx')
     """
     cube = checked_fields(cube, COHERENCE_NAMES)
     welch = with_mean_current(cube, Welch.of(cube))
@@ -298,7 +307,8 @@ def plane_coherence(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
-    """Return sums over steps, (cells,), of the spatial transforms (cells, steps) of rise, w and -nl."""
+    """Return sums over steps, each (cells,), of transforms z_t, w and -nl and of their products, by name.
+    `parts` holds the spatial transforms (cells, steps) of rise (here called z_t), w and nl."""
     z_t, w, nl = (parts[name] for name in COHERENCE_NAMES)
     return {
         "z_t": z_t.sum(axis=1),
@@ -312,7 +322,8 @@ def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
 
 
 def _plane_coherences(mean: dict[str, Array]) -> Array:
-    """Return the moduli of the coherence of the three terms, (3, cells), from means of `_plane_sums`."""
+    """Return the moduli of the coherence of the terms w, nl and tot, (3, cells).
+    `mean` is the result of `_plane_sums` divided by the number of steps."""
     power = mean["power"] - np.abs(mean["z_t"]) ** 2
     total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))

@@ -1,4 +1,4 @@
-"""Mean velocity of a record, and the current that an estimate used."""
+"""Mean velocity of the water in a record, and the current that an estimate used."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,9 +18,9 @@ SAMPLED_STEPS = 256  # evenly spaced steps that give the means of a record; chos
 
 
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
-    """Return the mean (u, v) of up to 256 steps and its standard uncertainty, (2,), m/s, as dask objects.
-    Equal weights in space would leave a hundredth of the waves, coherent with z_t; a Hann window removes
-    them."""
+    """Return the mean of u and v, and its standard uncertainty, each (2,), m/s, as a Dask delayed object.
+    Up to 256 evenly spaced steps are read. Nodes have the weights of a Hann window: with equal weights, a
+    hundredth of the waves would remain, which is coherent with z_t."""
     area = slice(*record.y), slice(*record.x)
     task = dask.delayed(_means_of_steps, pure=False)
     parts = []
@@ -32,7 +32,7 @@ def delayed_current(cube: xr.Dataset, record: Record) -> Any:
 
 
 def _by_chunk(field: xr.DataArray, steps: list[int]) -> list[list[int]]:
-    """Return the numbers in `steps`, grouped into one list for each chunk of time of `field`."""
+    """Return the step numbers in `steps`, grouped into one list for each chunk of `field` along time."""
     chunk = np.asarray(steps) // chunk_steps(field)
     return [[t for t, c in zip(steps, chunk) if c == number] for number in np.unique(chunk)]
 
@@ -62,7 +62,7 @@ FITTED, GIVEN, NO_CURRENT = "fit", "given", "none"
 
 @dataclass(frozen=True)
 class CurrentUsed:
-    """Current that an estimate used, and its origin."""
+    """Velocity of the water that an estimate, such as a directional spectrum, used; with its origin."""
 
     velocity: tuple[float, float]  # along x and y, m/s
     std: tuple[float, float]  # standard uncertainty, m/s; NaN where it was not estimated
@@ -71,13 +71,14 @@ class CurrentUsed:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes of a Dataset that was computed with this current."""
+        """Attributes of a result computed with it: ``current``, ``current_std`` and ``current_source``.
+        If the fit failed, ``current_fit_refused`` gives the reason."""
         out = {"current": list(self.velocity), "current_std": list(self.std), "current_source": self.source}
         return out | ({"current_fit_refused": self.reason} if self.reason else {})
 
 
 def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> CurrentUsed:
-    """Return the current of the result of `dispersion_group`, else the `given` current, else still water."""
+    """Return the current in `dispersion`, a result of `dispersion_group`, else `given`, m/s, else zero."""
     if "current_x" in dispersion:
         velocity, std = ([float(dispersion[f"current_{a}{end}"]) for a in "xy"] for end in ("", "_std"))
         return CurrentUsed((velocity[0], velocity[1]), (std[0], std[1]), FITTED)

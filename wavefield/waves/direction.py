@@ -1,4 +1,8 @@
-"""Directional spectrum of the free waves, with uncertainties."""
+"""Directional spectrum of the free waves, with uncertainties.
+
+The argument `water` is the depth (m) and the surface tension over density (m3/s2); `current` is along x and
+y, in m/s. A line is one frequency of a spectrum.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -40,9 +44,9 @@ RIDGE_CORRELATION = 1.6
 def packet_correlation(
     ky: Array, kx: Array, omega: Array, water: tuple[float, float], current: tuple[float, float], dof: float
 ) -> Array:
-    """Return the factor, (ky, kx), by which free waves raise the variance of a mean over segments.
-    A slow wave packet stays in the rectangle for several segments. `dof` are the degrees of freedom of a
-    cell."""
+    """Return the factor, (ky, kx), by which slow free waves raise the variance of a mean over segments.
+    A slow wave packet stays in the rectangle of nodes for several segments. `dof` are the degrees of freedom
+    of a cell (omega, ky, kx); `ky`, `kx` (rad/m) and `omega` (rad/s) are the axes of the spectrum."""
     k = np.maximum(np.hypot(ky[:, None], kx), 1e-9)
     speed = group_velocity(k, *water) / k
     velocity = speed * kx + current[0], speed * ky[:, None] + current[1]
@@ -55,8 +59,9 @@ def packet_correlation(
 
 def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
     """Return the covariances of the energies of sectors of direction, (sectors, sectors).
-    `shares` (sectors, cells) divides the cells of `energy` (lines, ky, kx), which have `dof` degrees of
-    freedom. The Hann windows correlate neighbouring cells and lines."""
+    `shares` (sectors, cells) is the fraction of each cell of the k plane in each sector. Each cell of
+    `energy` (lines, ky, kx) has `dof` degrees of freedom. Hann windows correlate neighbouring cells and
+    lines."""
     lines, ny, nx = energy.shape
     reach = min(2, lines - 1)
     over_lines = ndimage.convolve1d(energy, _HANN[2 - reach : 3 + reach], axis=0, mode="constant")
@@ -76,7 +81,8 @@ def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
 
 
 def sector_freedom(levels: Array, covariances: Array) -> Array:
-    """Return the degrees of freedom of each sector's fraction of the total energy, (sectors,)."""
+    """Return the degrees of freedom of each sector's fraction of the total energy, (sectors,).
+    `levels` (sectors,) are the energies, and `covariances` (sectors, sectors) those of the energies."""
     total = max(levels.sum(), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
@@ -84,8 +90,9 @@ def sector_freedom(levels: Array, covariances: Array) -> Array:
 
 
 def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[float, float]:
-    """Return the standard uncertainties of the first harmonic of D(theta) along and across its direction.
-    `levels` and `theta` are (sectors,); `covariances` are those of the levels."""
+    """Return the standard uncertainties of the first Fourier harmonic of the directional spectrum D(theta).
+    They are those of its components along and across the mean direction. `levels` (energies) and `theta` are
+    (sectors,); `covariances` are those of the levels."""
     total = max(levels.sum(), 1e-300)
     turned = np.exp(1j * theta)
     first = (levels * turned).sum() / total
@@ -100,8 +107,9 @@ LOWEST_HZ = 0.5  # chosen: below it, the elevation integrated from w is mostly d
 
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
-    """Return E(k, omega + k . U), the spectrum in the frame of the water, (lines, ky, kx).
-    `lines` are the indices of the wanted frequencies. Values above the highest frequency are zero."""
+    """Return E(k, omega + k . U), the spectrum in the frame of water with the current U, (lines, ky, kx).
+    `lines` are the indices of the wanted frequencies. Values are zero where omega + k . U is above the
+    highest frequency of `density`."""
     values = density.values
     if not any(current):
         return np.asarray(values[lines], float)
@@ -125,7 +133,7 @@ def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, fl
 
 
 class _RingSectors:
-    """Division of the cells (ky, kx) of a ring of |k| between `count` sectors of direction, by area."""
+    """Division of the cells of a k plane between `count` sectors of direction, by area, in rings of |k|."""
 
     def __init__(self, ky: Array, kx: Array, count: int) -> None:
         n = rings.SUPERSAMPLING
@@ -144,8 +152,8 @@ class _RingSectors:
         self.place = (sector * self.cells + cell).ravel()[by_radius]  # in (sectors, cells)
 
     def shares(self, centre: float, half: float) -> tuple[Array, Array]:
-        """Return the fraction of each cell in each sector of a ring, (sectors, cells).
-        The second result is the fraction of each sector that the k plane samples. The ring extends from
+        """Return the fraction of each cell in each sector of a ring, (sectors, cells), and a coverage.
+        The coverage (sectors,) is the fraction of each sector that the k plane samples. The ring extends from
         `centre` - `half` to `centre` + `half`, rad/m."""
         first = np.searchsorted(self.radius, centre - half, "right")
         ring = slice(first, np.searchsorted(self.radius, centre + half, "left"))
@@ -168,29 +176,29 @@ def directions(
     Parameters
     ----------
     density : DataArray or Dataset
-        A cube: then the elevation is integrated from its w. Or a spectrum E(omega, ky, kx), a result of
-        `spectrum`, or a field over (time, y, x): then the spectrum of this quantity is used unchanged.
+        A cube: its spectrum of w is converted to that of the elevation. Or a spectrum E(omega, ky, kx), a
+        result of `spectrum`, or a field over (time, y, x): the spectrum of this quantity is used unchanged.
     frequency : sequence of float, optional
-        Middles of the frequency bands in the frame of the water, Hz. A band is 0.1 Hz wide, or one line of
-        the spectrum if that is wider. By default all bands that segment and grid resolve.
+        Middles of the frequency bands in the frame of the water, Hz. A band is 0.1 Hz wide, or as wide as a
+        line of the spectrum if that is more. By default all bands that segment and grid resolve.
     depth : float, optional
-        Depth of the water, m; by default that of the input, or deep.
+        Depth of the water, m; by default that stored with the input, or deep water.
     current : tuple of float, optional
         Velocity of the water along x and y, m/s; by default it is fitted to the dispersion relation.
     segment : int, optional
-        Steps of a Welch segment for the spectrum of a cube or field; by default chosen from the record.
+        Steps of a Welch segment, even, for a cube or field; by default about a quarter of the longest run.
 
     Returns
     -------
     Dataset
         Over (frequency, theta), with theta the direction of propagation in 24 sectors: ``D``, the
         directional density in 1/rad; its degrees of freedom ``dof``; ``low`` and ``high``, the limits of
-        the 95 % interval as factors of D. Over frequency: ``energy``, the spectrum of the waves per Hz;
-        ``direction`` and ``spread``, the mean direction and directional spread, rad, with standard
-        uncertainties ``direction_std`` and ``spread_std``; ``r1`` and ``r2``, the moduli of the first two
-        harmonics of D; ``isotropy``, 1 less the larger of r1 and r2. All of these but ``energy`` are NaN
-        at frequencies that the grid does not resolve, or with waves below three times the noise;
-        uncertainties are NaN for a spectrum without ``dof``.
+        the 95 % interval as factors of D. Over frequency: ``energy``, the spectrum of the waves per Hz, for
+        a cube in m2/Hz; ``direction`` and ``spread``, the mean direction and directional spread, rad, with
+        standard uncertainties ``direction_std`` and ``spread_std``; ``r1`` and ``r2``, the moduli of the
+        first two harmonics of D; ``isotropy``, 1 less the larger of r1 and r2. All of these but ``energy``
+        are NaN at frequencies that the grid does not resolve, or with waves below three times the noise;
+        uncertainties and ``dof`` are NaN for an E(omega, ky, kx) without degrees of freedom.
         ``efth`` (freq, dir), the same spectrum in the convention of oceanography: per Hz and degree, with
         ``dir`` the direction that waves come from, in degrees clockwise from the y axis. After ``import
         wavespectra`` the result has the accessor ``.spec``.
@@ -198,8 +206,8 @@ def directions(
     Raises
     ------
     CubeError
-        If a frequency exceeds the Nyquist frequency, the spectrum resolves none, or the current is not given
-        and `fit_dispersion` fails.
+        If the input is none of these, a frequency exceeds the Nyquist frequency, the spectrum resolves none,
+        or the current is not given and `fit_dispersion` fails.
 
     Notes
     -----
@@ -237,7 +245,8 @@ def elevation_density(
     density: xr.DataArray, current: tuple[float, float], frames: int, water: tuple[float, float]
 ) -> xr.DataArray:
     """Return E(omega, ky, kx) of the elevation, from the spectrum `density` of w; zero at omega = 0.
-    w is integrated at the frequency in the frame of the water, omega - k . U, with the `current` U."""
+    w is integrated at the frequency in the frame of the water, omega - k . U, with the `current` U. `frames`
+    is the number of frames of each velocity."""
     omega, ky, kx = np.meshgrid(
         *(density[name] for name in ("omega", "ky", "kx")), indexing="ij", sparse=True
     )
@@ -249,7 +258,7 @@ def elevation_density(
 
 
 def resolved_frequencies(density: xr.DataArray, depth: float, gamma: float) -> Array:
-    """Return the middles of the frequency bands, Hz, that segments and grid of E(omega, ky, kx) resolve."""
+    """Return the middles of the frequency bands, Hz, that the lines and cells of a spectrum resolve."""
     lines = density["omega"].values / (2 * np.pi)
     shortest = dispersion(SHORTEST_WAVES * _largest_k(density), depth, gamma) / (2 * np.pi)
     return np.arange(max(LOWEST_HZ, 3 * lines[1]), min(shortest, 0.9 * lines[-1]), max(STEP_HZ, lines[1]))
@@ -263,7 +272,8 @@ def _largest_k(density: xr.DataArray) -> float:
 def above_noise(
     density: xr.DataArray, found: xr.Dataset, water: tuple[float, float], current: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """Return a mask (frequency,): true where the grid resolves waves that exceed three times the noise."""
+    """Return a mask (frequency,): true where the grid resolves waves that exceed three times the noise.
+    `found` is a result of `directions` for the spectrum `density`, of which only ``frequency`` is used."""
     spectrum = PlaneSpectrum.of(density, water)
     frequency = found["frequency"].values
     centres = wavenumber(2 * np.pi * frequency, *water)
@@ -282,7 +292,8 @@ def above_noise(
 
 
 def oceanographic(found: xr.Dataset) -> xr.DataArray:
-    """Return ``efth`` (freq, dir), the spectrum per Hz and degree, from a result of `directions`."""
+    """Return ``efth`` (freq, dir), the spectrum per Hz and degree, from a result of `directions`.
+    ``dir`` is the direction that waves come from, in degrees clockwise from the y axis."""
     compass = (270 - np.degrees(found["theta"].values)) % 360
     order = np.argsort(compass)
     energy = (found["energy"] * found["D"] * np.pi / 180).values[:, order]
@@ -302,7 +313,8 @@ def _directions(
     current: tuple[float, float],
     dof: float | None,
 ) -> xr.Dataset:
-    """Return the result of `directions` for E(omega, ky, kx) with `dof` degrees of freedom in each cell."""
+    """Return the result of `directions` for E(omega, ky, kx) with `dof` degrees of freedom in each cell.
+    `frequency` is in Hz. If `dof` is None, all uncertainties are NaN."""
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
     if not frequency.size:
@@ -343,7 +355,8 @@ def _label(
     frequency: Array, centres: Array, levels: Array, degrees: Array, cells: tuple[float, float], stds: Array
 ) -> xr.Dataset:
     """Return the Dataset of `directions` from the energies `levels` (frequency, sectors), without ``efth``.
-    `centres` (frequency,) are wavenumbers, `cells` the sides of a cell along ky and kx, all in rad/m."""
+    `centres` (frequency,) are wavenumbers and `cells` the sides of a cell along ky and kx, rad/m. `degrees`
+    are those of freedom of `levels`, and `stds` (2, frequency) results of `harmonic_stds`."""
     sectors = levels.shape[1]
     width = 2 * np.pi / sectors
     theta = (np.arange(sectors) + 0.5) * width
@@ -386,7 +399,8 @@ def _label(
 def direction_group(
     density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch
 ) -> xr.Dataset | Noted:
-    """Return the group `direction` of `analyze`, from E(omega, ky, kx) of w."""
+    """Return the group `direction` of `analyze` from E(omega, ky, kx) of w, at the frequencies it resolves.
+    If the current is not known, ``efth`` is left out with a note."""
     water = depth, gamma
     elevation = elevation_density(density, used.velocity, welch.frames, water)
     frequency = resolved_frequencies(density, *water)

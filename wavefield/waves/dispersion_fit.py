@@ -40,8 +40,9 @@ BAND_WIDTH = 0.5  # Hz, chosen: width of the bands in which the points are compa
 
 
 def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Array], Array]:
-    """Return a function of the current: model minus measured omega of each point, in standard deviations.
-    The slope of the relation on the current `around` converts the uncertainty of k to one of omega."""
+    """Return a function that maps a current (2,), m/s, to the errors of omega on it, in standard deviations.
+    An error is that of the relation less that of the point. The uncertainty of k becomes one of omega by the
+    slope of the relation on the current `around`."""
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
     free, speed = dispersion(points.k, *water), group_velocity(points.k, *water)
     slope = speed + (around[0] * kx + around[1] * ky) / points.k
@@ -55,14 +56,14 @@ def _outlier_limit(misfit: Array) -> float:
 
 
 def solve(points: RelationPoints, water: Water, start: Array) -> Array:
-    """Return the current, (2,), m/s, by a robust least-squares fit to the points."""
+    """Return the current (2,), m/s, of a robust least-squares fit to the points that starts from `start`."""
     misfit = _misfit(points, water, start)
     result = least_squares(misfit, start, loss="soft_l1", f_scale=_outlier_limit(misfit(start)))
     return np.asarray(result.x)
 
 
 def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array:
-    """Return the covariance (2, 2) of a fitted current, (m/s)^2; NaN if points do not determine it.
+    """Return the covariance (2, 2) of a fitted current, (m/s)^2; NaN if the points do not determine it.
     Neighbouring points have common errors, so half of the points count as independent."""
     misfit = _misfit(points, water, current)
     residual = misfit(current)
@@ -77,7 +78,7 @@ def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array
 
 
 def distance_from_relation(points: RelationPoints, water: Water, current: Array) -> Array:
-    """Return the k of each point less the k of the relation at its omega, (points,), rad/m (first order)."""
+    """Return the k of each point less that of the relation at its omega, (points,), rad/m (first order)."""
     along = points.along(current)
     speed = group_velocity(points.k, *water)
     model = dispersion(points.k, *water) + points.k * along
@@ -85,7 +86,7 @@ def distance_from_relation(points: RelationPoints, water: Water, current: Array)
 
 
 def against_theory(points: RelationPoints, water: Water, current: Array) -> dict[str, Any]:
-    """Return the variables ``ridge_error`` and ``band_frequency`` of `fit_dispersion`, both over bands."""
+    """Return ``ridge_error`` and ``band_frequency`` of `fit_dispersion`, both (band,), for a Dataset."""
     distance = distance_from_relation(points, water, current)
     band = np.floor(points.omega / (2 * np.pi) / BAND_WIDTH)
     numbers, inverse = np.unique(band, return_inverse=True)
@@ -110,9 +111,9 @@ def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float
     density : DataArray or Dataset
         Spectrum E(omega, ky, kx), best of w; or a result of `spectrum`; or a field over (time, y, x) or a
         cube, whose spectrum (of w) is computed first. To restrict the fit to a band, give
-        ``E.sel(omega=slice(lowest, highest))``.
+        ``E.sel(omega=slice(lowest, highest))``, in rad/s.
     depth : float
-        Depth of the water, m; by default that of the cube, or deep. Waves this short do not determine it.
+        Depth of the water, m; by default that of the cube, or deep. It is not fitted.
     gamma : float
         Surface tension over density, m3/s2; by default that of the cube, or of clean water.
 
@@ -120,7 +121,7 @@ def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float
     -------
     Dataset
         ``current_x``, ``current_y`` (m/s) and their standard uncertainties ``_std``; ``ridge_k`` (rad/m),
-        ``ridge_omega`` (rad/s) and ``ridge_angle`` (rad), the measured points of the relation, (point);
+        ``ridge_omega`` (rad/s) and ``ridge_angle`` (rad), the measured points of the relation, each (point);
         ``ridge_fraction``, the fraction of the variance near the relation; ``ridge_error`` (band), the
         mean relative difference of the measured k from the k of the relation in bands 0.5 Hz wide around
         ``band_frequency``, Hz; ``depth``, m.
@@ -128,18 +129,18 @@ def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float
     Raises
     ------
     CubeError
-        If there are too few points, they are not on the dispersion relation of any current, the energy
-        near the relation hardly exceeds that at other frequencies, or the standard uncertainty of the
-        current exceeds 12 mm/s.
+        If the input is none of these, there are fewer than six points, they are not on the dispersion
+        relation of any current, the energy near the relation hardly exceeds that at other frequencies, or the
+        standard uncertainty of the current exceeds 12 mm/s.
 
     Notes
     -----
-    The relation is omega = sqrt((g k + gamma k^3) tanh k h) + k . U. The fit starts from the current U whose
-    relation contains most energy. Points are centroids in k of the energy above the noise, at each frequency
-    and in 24 sectors of direction, weighted by their inverse variance. Hann windows displace the centroids;
-    this displacement is simulated with free waves of the measured energy on the fitted relation, and
-    subtracted, until the current changes by less than 0.3 mm/s. The uncertainty is that of least squares, and
-    of leakage and surface tension.
+    The relation is omega = sqrt((g k + gamma k^3) tanh k h) + k . U, with the depth h. The fit starts from
+    the current U whose relation contains most energy. Points are centroids in k of the energy above the
+    noise, at each frequency and in 24 sectors of direction, weighted by their inverse variance. Hann windows
+    displace the centroids; this displacement is simulated with free waves of the measured energy on the
+    fitted relation, and subtracted, until the current changes by less than 0.3 mm/s. The uncertainty is that
+    of least squares, and of leakage and surface tension.
 
     Examples
     --------
@@ -196,7 +197,7 @@ def _between(limits: tuple[float, float]) -> str:
 
 
 def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> RelationPoints:
-    """Return the points; raise CubeError if there are fewer than six."""
+    """Return the points; if they are fewer than six, raise CubeError, which names the band `limits`."""
     if len(points) < MIN_POINTS:
         raise CubeError(f"no dispersion relation was found {_between(limits)}: choose a longer segment")
     return points
@@ -205,7 +206,8 @@ def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> Relation
 def _check_fit(
     spectrum: PlaneSpectrum, points: RelationPoints, fit: Array, limits: tuple[float, float]
 ) -> float:
-    """Return the `contrast` of the fitted relation; raise CubeError if no relation is in the spectrum."""
+    """Return the `contrast` of the relation on the current `fit`; raise CubeError if it is no relation.
+    That is, if the points are more than 10 % of k away from it, or the contrast is that of noise."""
     between = _between(limits)
     best = f"{fit[0]:.2f}, {fit[1]:.2f} m/s"
     # windows spread a wave over more than a cell of the k plane: for long waves, that is not an error
@@ -229,7 +231,7 @@ def _check_fit(
 
 
 def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
-    """Raise CubeError if `std`, the standard uncertainty of the current, exceeds 0.012 m/s or is NaN."""
+    """Raise CubeError if `std`, the standard uncertainty of the current, is NaN or exceeds 0.012 m/s."""
     if std <= MAX_CURRENT_STD:
         return
     reason = f"determine the current to {std:.2f} m/s only"
@@ -239,8 +241,9 @@ def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
 
 
 def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float) -> xr.Dataset:
-    """Return the result of `fit_dispersion` with ``omega_theory`` (k), the relation in still water.
-    If the fit fails, the attribute ``refused`` holds the message in place of the result."""
+    """Return the result of `fit_dispersion` with ``omega_theory`` (k), the relation in still water, rad/s.
+    If the fit fails, the attribute ``refused`` holds the message of the error, and the result of the fit is
+    absent."""
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
         out = fit_dispersion(density, depth, gamma=gamma)
@@ -250,7 +253,7 @@ def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float
 
 
 def _group(density: xr.DataArray, welch: Welch, depth: float, gamma: float) -> Noted:
-    """Return the group `dispersion` of `analyze`; if `fit_dispersion` failed, with a note that says why."""
+    """Return the group `dispersion` of `analyze`; if `fit_dispersion` failed, with a note on the reason."""
     fit = dispersion_group(density, welch.table.k, depth, gamma)
     refused = fit.attrs.get("refused")
     return Noted(fit, [f"The dispersion relation was not fitted: {refused}."] if refused else [])

@@ -29,7 +29,7 @@ LEAST_NOISE = 1e-4
 
 @dataclass(frozen=True)
 class PlaneSpectrum:
-    """Energy and noise of a spectrum at each line (frequency) and cell of the k plane."""
+    """A spectrum E(omega, ky, kx) with its noise, as arrays over lines (frequencies) and cells (ky, kx)."""
 
     omega: Array  # (lines,), rad/s
     energy: Array  # (lines, cells)
@@ -45,7 +45,7 @@ class PlaneSpectrum:
 
     @classmethod
     def of(cls, density: xr.DataArray, water: Water) -> "PlaneSpectrum":
-        """Return a spectrum E(omega, ky, kx) with its estimated noise."""
+        """Return an instance for a spectrum E(omega, ky, kx), whose noise is estimated."""
         omega, *axes = (density[name].values for name in ("omega", "ky", "kx"))
         ky, kx = (part.ravel() for part in np.meshgrid(*axes, indexing="ij"))
         k, angle, sides = np.hypot(kx, ky), np.arctan2(ky, kx), np.array([axis[1] - axis[0] for axis in axes])
@@ -56,7 +56,7 @@ class PlaneSpectrum:
         return cls(omega, energy, noise, kx, ky, k, angle, (axes[0], axes[1]), sides, cell, water)
 
     def on_lines(self, chosen: Array) -> "PlaneSpectrum":
-        """Return the spectrum at some frequencies; `chosen` is a boolean array (lines,)."""
+        """Return the part of the spectrum at some frequencies; `chosen` is a boolean array (lines,)."""
         return replace(self, omega=self.omega[chosen], energy=self.energy[chosen], noise=self.noise[chosen])
 
 
@@ -80,7 +80,7 @@ def noise_level(energy: Array, outer: Array, distance: Array) -> Array:
 
 
 def _mean_of_noise(values: Array) -> float:
-    """Return the mean of chi-squared noise from `values` of which some contain waves; 0 if the median is 0.
+    """Return the mean of chi-squared noise, from `values` of which some are waves; 0 if the median is 0.
     The mean is about median + variance / (3 median), with the variance from the lower quartile."""
     low, middle = np.quantile(values, [0.25, 0.5])
     std = (middle - low) / 0.6745
@@ -95,9 +95,9 @@ VOTING_SECTORS = 2 * SECTORS  # finer, because single cells vote
 
 
 def scan_current(spectrum: PlaneSpectrum) -> Array:
-    """Return the current (2,), to 0.02 m/s, with the dispersion relation that contains the most energy.
-    In this Hough transform, each cell votes for the component (omega -+ sigma(k)) / k of the current along k.
-    """
+    """Return the current (2,), to 0.02 m/s, whose dispersion relation contains the most energy.
+    In this Hough transform, each cell votes for the component (omega -+ sigma) / k of the current along k,
+    with the frequency sigma(k) of free waves in still water."""
     used = spectrum.k > MIN_CELLS_FROM_ZERO * spectrum.cell
     used &= spectrum.k < 0.9 * spectrum.k[spectrum.ky == 0].max()
     k = spectrum.k[used]
@@ -142,7 +142,7 @@ def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
 
 
 def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
-    """Return the ratio of the energy near the relation to that of the same cells at other frequencies.
+    """Return the mean energy near the relation over that of the same cells of k at other frequencies.
     White noise gives about 1. `lines` is a mask of the frequencies that are used."""
     near = _near_relation(spectrum, current)[lines]
     near[:, spectrum.k < MIN_CELLS_FROM_ZERO * spectrum.cell] = False
@@ -252,7 +252,7 @@ class RelationPoints:
 
 
 def sectors_of(spectrum: PlaneSpectrum, count: int) -> Sectors:
-    """Return the direction, rad, and the cells, sorted by k, of `count` sectors; the first is around kx."""
+    """Return the direction, rad, and the cells, sorted by k, of `count` sectors; the first is around +kx."""
     by_k = np.argsort(spectrum.k, kind="stable")
     half_width = np.pi / count
     middles = np.arange(count) * 2 * half_width
@@ -261,8 +261,9 @@ def sectors_of(spectrum: PlaneSpectrum, count: int) -> Sectors:
 
 
 def centroids(spectrum: PlaneSpectrum, sectors: Sectors, current: Array) -> RelationPoints:
-    """Return the centroids in k of the energy above the noise near the relation, per frequency and sector.
-    Windows with few cells or a signal-to-noise ratio below 1, and centroids outside them, give no point."""
+    """Return the centroids in k of the energy above the noise, one per frequency and sector of direction.
+    A centroid is over an interval of k around the relation. There is none if the interval has fewer than five
+    cells or less signal than noise, or if the centroid is outside of it."""
     omega, water = spectrum.omega, spectrum.water
     k_table = np.linspace(0.1, 1.2 * spectrum.k.max(), 4000)
     free = dispersion(k_table, *water)
@@ -312,8 +313,9 @@ def centroids(spectrum: PlaneSpectrum, sectors: Sectors, current: Array) -> Rela
 
 
 def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:
-    """Return the k of each frequency on the relation omega = free(k) + k along, (lines,), rad/m.
-    `speed` is the group velocity in still water. k is NaN at frequencies that the current blocks."""
+    """Return the k at each frequency on the relation omega = free(k) + k along, (lines,), rad/m.
+    `free` and the group velocity `speed` are those in still water, at the values `k`. The result is NaN at
+    frequencies that the current, whose component is `along`, blocks."""
     doppler = free + k * along
     blocked = speed + along < MIN_SPEED_ON_CURRENT * speed
     last = int(blocked.argmax()) if blocked.any() else k.size
@@ -335,9 +337,9 @@ def _strongest_sector(points: RelationPoints) -> Array:
 def window_displacement(
     spectrum: PlaneSpectrum, band: Array, sectors: Sectors, current: Array
 ) -> tuple[Array, Array]:
-    """Return the keys of points and the displacement of their k by the Hann windows, rad/m, each (points,).
-    It is measured on simulated free waves on the relation on `current`. Points with a large displacement are
-    left out: they are beyond the end of the sea, in leakage alone."""
+    """Return the keys of points, and the displacement of their k by the Hann windows, rad/m, each (points,).
+    It is found for simulated free waves on the current, at the lines of the mask `band`. Points with a large
+    displacement are left out: they are beyond the end of the sea, in leakage alone."""
     free_waves = windowed_waves(spectrum, current)[band]
     simulated = replace(spectrum.on_lines(band), energy=free_waves, noise=np.zeros_like(free_waves))
     points = centroids(simulated, sectors, current)
@@ -349,8 +351,8 @@ def window_displacement(
 
 
 def undisplaced(points: RelationPoints, by: tuple[Array, Array], part: float = 1.0) -> RelationPoints:
-    """Return the points with `part` of the result `by` of `window_displacement` subtracted from their k.
-    Points without a measured displacement are left out."""
+    """Return the points with the fraction `part` of the displacements by the windows subtracted from their k.
+    `by` is a result of `window_displacement`. Points without a known displacement are left out."""
     _, measured, simulated = np.intersect1d(points.key, by[0], assume_unique=True, return_indices=True)
     points, displacement = points[measured], by[1][simulated]
     k_std = np.hypot(points.k_std, LEAKAGE_ERROR * displacement)

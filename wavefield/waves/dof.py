@@ -43,9 +43,8 @@ def hann_correlation(lines: int) -> Array:
 
 def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
     """Return the degrees of freedom of n sums of correlated powers, (n,).
-    They are (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)], with the powers P = `power` (parts,
-    n), their degrees of freedom nu = `dof`, and their squared correlations rho2 = `overlap` (parts, parts).
-    """
+    They are (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)]: P is `power` (parts, n), nu its
+    degrees of freedom `dof` (parts, n), and rho2 the squared correlations `overlap` (parts, parts)."""
     size = np.sqrt(np.maximum(np.diag(overlap), 1e-300))
     share = power / np.sqrt(dof)
     variance = np.einsum("in,in->n", share, (overlap / np.outer(size, size)) @ share)
@@ -102,15 +101,16 @@ def expected_segment_correlation(power: Array, count: int) -> Array:
 
 
 def hann_autocorrelation(lag: Array) -> Array:
-    """Return the autocorrelation of a Hann window of length 1, relative to its value at lag zero."""
+    """Return the autocorrelation of a Hann window of length 1 at `lag`, relative to that at lag zero."""
     x = np.minimum(np.abs(lag), 1.0)
     return np.asarray(((1 - x) * (2 + np.cos(2 * np.pi * x)) + 1.5 / np.pi * np.sin(2 * np.pi * x)) / 3)
 
 
 def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
     """Return the variance of a mean over segments relative to independent segments, for wave packets.
-    It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K segments of `duration` T. c is the overlap of
-    the windows, Hann in time and over the `lengths` of the field, for a packet that moves at `velocity`."""
+    It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K = `count` segments of `duration` T, s. c is the
+    overlap of the windows, Hann in time and over the `lengths` (m) of the field along x and y, for packets
+    that move at `velocity` (two arrays, m/s)."""
     s = np.linspace(-1, 1, 41)  # more points change nothing
     in_time = hann_autocorrelation(s)
     out, alone = np.ones_like(velocity[0]), np.ones(())
@@ -131,7 +131,7 @@ def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence
 
 @lru_cache(maxsize=8)
 def crossing_correlation(welch: Welch) -> Array:
-    """Return `correlation_at` for free waves of each ring, averaged over their directions, (rings,)."""
+    """Return `correlation_at` for the free waves of each ring of |k|, averaged over direction, (rings,)."""
     record, table = welch.record, welch.table
     lengths = record.shape[1] * record.dx, record.shape[0] * record.dy
     group = group_velocity(table.k, welch.depth)[:, None]
@@ -149,7 +149,8 @@ def wave_share(power: Array) -> Array:
 
 
 def keep_points(sums: dict[str, Array], name: str, first: Array, second: Array, begin: int) -> None:
-    """Add the Fourier lines (nodes, lines) of a segment at some nodes to `sums`, under its first step."""
+    """Store the Fourier lines (nodes, lines) of a segment at some nodes in `sums`, under `name` and `begin`.
+    `first` and `second` are the halves (nodes, steps) of the segment, and `begin` is its first step."""
     series = np.concatenate([first, second], axis=1)
     series = (series - series.mean(axis=1, keepdims=True)) * hann(series.shape[1])
     sums[f"points {name} from {begin:012d}"] = fft.rfft(series, axis=1).astype(np.complex64)
@@ -157,9 +158,9 @@ def keep_points(sums: dict[str, Array], name: str, first: Array, second: Array, 
 
 def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) -> Array:
     """Return the number of independent segments at each frequency, (n,).
-    It is K / (1 + 2 sum_L (1 - L / K) |r_L|^2) with the correlation r_L of `lines` (segments, nodes, n) that
-    are L places apart. `modes` is the number of independent series among the nodes, for the bias of |r_L|^2.
-    """
+    It is K / (1 + 2 sum_L (1 - L / K) |r_L|^2) for K = len(`lines`). r_L is the correlation of the Fourier
+    lines (segments, nodes, n) of segments whose numbers `place` differ by L. `modes` (n,) is the number of
+    independent series among the nodes, for the bias of |r_L|^2."""
     count, size = len(lines), int(place[-1]) + 1
     padded = np.zeros((2 * size, *lines.shape[1:]), complex)
     padded[place] = lines
@@ -176,7 +177,8 @@ def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) ->
 
 def independent_nodes(lines: Array, number: Array) -> Array:
     """Return the number of independent waves at each frequency, (tr C)^2 / |C|^2, without bias, (n,).
-    C is the covariance of the nodes, from `lines` (segments, nodes, n)."""
+    C is the covariance between nodes, from `lines` (segments, nodes, n); `number` is that of independent
+    segments."""
     total = (np.abs(lines) ** 2).sum(axis=(0, 1))
     covariance = np.einsum("spn,sqn->npq", lines.conj(), lines, optimize=True)
     rank = total**2 / np.maximum((np.abs(covariance) ** 2).sum(axis=(1, 2)), 1e-300)
@@ -186,17 +188,18 @@ def independent_nodes(lines: Array, number: Array) -> Array:
 
 
 def of_products(dof: Mapping[str, Array], power: Array, dof_omega: Array) -> dict[str, Array]:
-    """Return degrees of freedom of the nonlinear term: its own `dof`, reduced by those of the waves.
-    The term's energy is quadratic in that of the waves, whose relative variance therefore counts four times.
-    """
+    """Return degrees of freedom of the nonlinear term, by axes: its own `dof`, reduced by those of the waves.
+    Its energy is quadratic in that of the waves, whose relative variance therefore counts four times. `power`
+    and `dof_omega`, both (lines,), are of E(omega) of the waves."""
     total = sum_freedom(power[:, None], dof_omega[:, None], hann_correlation(power.size))
     return {axes: (1 / (1 / own + 4 / total)).clip(1, None) for axes, own in dof.items()}
 
 
 def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, Array]:
     """Return the degrees of freedom of E(k, omega), E(omega) and E(k), under "both", "omega" and "k".
-    Correlated segments reduce them. They are at most twice the number of independent segments times that of
-    independent waves at 16 nodes: the level of a very narrow peak hardly varies between segments."""
+    Correlated segments reduce them. They are at most twice the product of the numbers of independent segments
+    and of independent waves at 16 nodes, since the level of a very narrow peak hardly varies between
+    segments."""
     power, cells = sums[name][0], welch.freedom(sums[name])
     independent = cells * overlap_factor(welch.count)
     correlation, of_sums = correlation_of(power, welch)
@@ -222,7 +225,7 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, 
 
 
 def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
-    """Return the degrees of freedom of E(omega) averaged over all nodes, from those under a Hann window.
+    """Return the degrees of freedom of E(omega) averaged over all nodes, from those, `dof`, of a Hann window.
     Waves of a frequency lie on an arc in the k plane, along which the window correlates cells."""
     arc = np.maximum(dof / welch.dof, 1.0)
     return np.asarray(dof * (1 + (arc - 1) * CORRELATED_CELLS) / arc)
@@ -231,10 +234,11 @@ def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
 def independent_samples(
     sums: Mapping[str, Any], first: str, second: str, dof_k: tuple[Array, Array], welch: Welch
 ) -> dict[str, Array]:
-    """Return the number N of independent samples of a cross spectrum and of its sum over omega.
-    For unrelated fields the mean of |S_ab|^2 is E_a E_b / N. N follows from the mean of |A|^2 |B|^2, which in
-    a cell is (1 + gamma^2) times the product of the mean powers. The nonlinear term nl does not follow the
-    dispersion relation, so only the overlap of its segments correlates them, with a coefficient of 1 / 6."""
+    """Return the number N of independent samples of a cross spectrum, "both", and of its sum over k, "k".
+    For unrelated fields, the mean of |S_ab|^2 is E_a E_b / N. N follows from the mean of |A|^2 |B|^2, which
+    in a cell is (1 + gamma^2) times the product of the mean powers of A and B, with their coherence gamma.
+    Segments of the nonlinear term nl, which does not follow the dispersion relation, are correlated by their
+    overlap only."""
     product = sums[first][0] * sums[second][0]
     power, there = np.sqrt(product), product > 0
     real, imaginary = sums[f"{first}*{second}"]
@@ -261,8 +265,8 @@ def independent_samples(
 
 def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
     """Return the degrees of freedom of sums over k, under "omega", and of sums over omega, under "k".
-    `power` and its `dof` are (rings, lines). The relation is thin, so rings are correlated more than by the
-    window."""
+    `power` and its degrees of freedom `dof` are (rings, lines). The energy of a ring is near the dispersion
+    relation, so rings are correlated more than by the window."""
     overlap, own = welch.table.overlap, np.sqrt(np.diag(welch.table.overlap).clip(1e-300))
     return {
         "omega": sum_freedom(power, dof, np.sqrt(overlap * np.outer(own, own))),
@@ -271,7 +275,7 @@ def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
 
 
 def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
-    """Return factors by which the correlation of segments raises the variance of a mean, two (rings, lines).
+    """Return two factors (rings, lines) by which correlated segments raise the variance of a mean over them.
     The first is for a single cell (k, omega), the second for a cell as a part of a sum over k or omega."""
     white = overlap_factor(welch.count)
     line = expected_segment_correlation(power, welch.count)

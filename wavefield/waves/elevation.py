@@ -44,9 +44,9 @@ _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m: waves of 6 km to 1.6 mm
 
 
 def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
-    """Return the frequency omega - k . U in the frame of the water, limited in modulus, rad/s.
-    The limits, relative to the frequency `sigma` of free waves, keep it away from zero, where w cannot be
-    integrated, but always include omega itself."""
+    """Return the frequency omega - k . U in the frame of the water, rad/s, with limits on its modulus.
+    `doppler_shift` is k . U. The limits, relative to the frequency `sigma` of free waves, keep the result
+    away from zero, where w cannot be integrated, but always include omega itself."""
     intrinsic = np.asarray(omega - doppler_shift)
     least = np.minimum(omega, (1 - MAX_DEPARTURE) * sigma)
     most = np.maximum(omega, np.minimum((1 + MAX_DEPARTURE) * sigma, np.pi / dt))
@@ -75,7 +75,9 @@ def _white(noise: Array, use: Array) -> Array:
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    """Return up to which frequency, Hz, a spectrum is valid from its peak on, and the decades it falls."""
+    """Return how far a spectrum `signal` (omega,) is valid without a gap from its peak on.
+    The results are the frequency of the end, Hz, and the number of decades by which the spectrum has fallen
+    there."""
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
@@ -91,7 +93,8 @@ def _smooth(values: Array) -> Array:
 
 
 def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Array:
-    """Return a mask (omega,): true where more than 90 % of the cells near free waves are trusted."""
+    """Return a mask (omega,): true where more than 90 % of the cells near free waves are trusted.
+    `trusted` (omega, k) marks the cells where a correctable signal is above three times its noise."""
     k, waves = spectra.k, np.asarray(wavenumber(spectra.omega, *water))
     if spectra.speed:  # on a current, use the mean wavenumber of the energy
         energy = np.maximum(_smooth(spectra.zw), 0.0)
@@ -164,8 +167,8 @@ def _elevations(
     ring: xr.Dataset, welch: Welch, w: xr.DataArray, zw: Array, current: tuple[float, float], water: Water
 ) -> _Elevations:
     """Return the elevation spectra from z and w, before noise is subtracted or gains are corrected.
-    `w` is E(omega, ky, kx) of w, and `zw` the same for Re(i exp(i omega dt / 2) S), with the cross spectrum S
-    of z at frame times with w."""
+    `w` is E(omega, ky, kx) of w. `zw` is Re(i exp(i omega dt / 2) S) on the same axes, with the cross
+    spectrum S of z at the times of frames with w. `current` is in m/s."""
     dt, table, frames = welch.record.dt, welch.table, welch.frames
     ky, kx = np.meshgrid(w["ky"].values, w["kx"].values, indexing="ij")
     sigma, doppler_shift = dispersion(np.hypot(kx, ky), *water), kx * current[0] + ky * current[1]
@@ -190,7 +193,7 @@ def _elevations(
 @dataclass(frozen=True)
 class _Noise:
     """Noise (omega, k) of z and of the elevation from w, and fits to both noises.
-    The fitted noise of z, and of w dt, is white: at each k it is the same at all omega."""
+    In the fits, the noise of z and that of w dt are white: at each k they are the same at all omega."""
 
     z: Array
     w: Array
@@ -202,8 +205,8 @@ class _Noise:
 
 
 def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
-    """Return the noise of z and of the elevation from w, and fits in which those of z and of w dt are white.
-    The noise is the energy that z and w, divided by their gains, do not share."""
+    """Return the noise of z and of the elevation from w, with fits: white noise of z and of w dt.
+    The noise is the energy that z and w, divided by their gains, do not have in common."""
     omega, k = spectra.omega, spectra.k
     use = (np.arange(omega.size) >= MIN_LINES) & (omega < 0.95 * omega[-1])
     # rings with too small a gain still contain some waves: there, the noise is taken away from free waves
@@ -226,9 +229,9 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
 
 
 def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array, Array]:
-    """Return the elevation spectrum from z and w combined, its noise, and the uncertainty by the gains.
-    All are (omega, k). z and w divided by their gains are weighted by the inverse variance from noise and
-    gain in every cell. The noise is subtracted. The uncertainty is relative, for an amplitude."""
+    """Return the elevation spectrum from z and w combined, its noise, and its uncertainty, each (omega, k).
+    In every cell, z and w, divided by their gains, have weights by the inverse variance of noise and gain.
+    The noise is subtracted. The uncertainty is that by the gains, relative, of an amplitude."""
     std_z, std_w = gains.std
     waves = np.maximum(gains.elevation(spectra.zw), 0.0)
     by_z = np.sqrt(gains.z) / (noise.fit_z + std_z**2 * gains.z * waves)
@@ -253,8 +256,9 @@ def _tiny(spectra: _Elevations) -> float:
 def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
 ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
-    """Return energies, masks of trusted cells, and uncertainties by the gains, for the four `METHODS`.
-    With `undo`, noise is subtracted, gains are corrected, and cells that are not trusted are 0."""
+    """Return energies, masks of trusted cells and uncertainties by gains: four arrays (omega, k) of each.
+    They are for the four `METHODS`, in that order. With `undo`, noise is subtracted, gains are corrected, and
+    cells that are not trusted are 0."""
     best, remaining, std_best = _best(spectra, noise, gains)
     with np.errstate(divide="ignore", invalid="ignore"):
         signals = (
@@ -282,8 +286,9 @@ def _freedom(
     ring: xr.Dataset, energies: Sequence[Array], remaining: Array, gain_variances: Array, tiny: float
 ) -> Array:
     """Return the degrees of freedom of E(omega) by the four `METHODS`, (methods, omega).
-    Subtracted noise, of which `remaining` (omega,) is that of their combination, and `gain_variances`, the
-    relative variances of the energies by uncertain gains, lower those of the fields."""
+    They are those of the fields z and w, lowered by subtracted noise, of which `remaining` (omega,) is that
+    of the combination, and by `gain_variances` (methods, omega), the relative variances of energies by
+    uncertain gains."""
     z, w = (ring["dof_omega"].sel(quantity=name).clip(min=1).values for name in NAMES)
     dof = np.stack([z, w, np.sqrt(z * w), np.sqrt(z * w)])
     zz, ww, zw, best = energies
@@ -370,12 +375,11 @@ def fused_spectra(
     record: Record | None = None,
 ) -> xr.Dataset:
     """Return elevation spectra of a cube by the four `METHODS`, and the noise of z and w.
-    ``Ez`` (source, omega) is from z (stereo), integrated w, their cross spectrum, and their best combination
-    (fusion). With the elevation spectra S_zz and S_ww and the cross spectrum S_zw, the noises are N_z = S_zz
-    - Re S_zw and N_w = S_ww - Re S_zw, if they are independent. They are fitted in each ring of k as white
-    noise of z and of the displacement. Fusion weights z and w by their inverse noise in every cell (omega,
-    k). With gains H, the elevation spectrum is S_zw / (H_z H_w) and the noises are N / H^2. On a current U, w
-    is integrated at omega - k . U in each cell; this is not accurate in the five lowest lines."""
+    ``Ez`` (source, omega), m2 s, is from z (stereo), w, their cross spectrum (cross) and their combination
+    with the least noise in each cell (fusion). The noises S_zz - Re S_zw and S_ww - Re S_zw of the elevation
+    spectra S are fitted in each ring of k as white noise of z and of w dt. With gains H, the elevation
+    spectrum is S_zw / (H_z H_w). On a current U, w is integrated at omega - k . U, which is not accurate in
+    the five lowest lines."""
     water = water_of(cube.attrs, depth)
     gain = None if gain is None else read_gain(gain)
     cube = checked_fields(cube, NAMES)
@@ -389,8 +393,8 @@ def fused_spectra(
 
 def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str, float]) -> xr.Dataset:
     """Return the elevation spectra by method (`METHODS`) for the group `spectra` of `analyze`.
-    They are not valid where E(omega) of the fields that they need is below four times its error by `filled`.
-    """
+    `filled` is the error of E(omega) of z and of w by interpolated nodes. A method is not valid at
+    frequencies where the field or fields that it needs do not exceed four times this error."""
     out = fused[BY_SOURCE].copy()
     step = float(ring["k"][1] - ring["k"][0])
     over_k = {name: ring["E"].sel(quantity=name).sum("k").values * step for name in NAMES}

@@ -1,8 +1,10 @@
-"""Transfer functions of the measurement, and their correction in spectra.
+"""Gains (transfer functions) of the measurement, and their correction in spectra.
 
 Averages and differences over time steps have gains that depend on b = omega dt / 2. Matching windows average
 over space; their amplitude gain is a Dataset over (direction, k) with ``gain_z``, ``gain_u``, ``gain_v`` and
-``gain_w``, NaN where it is unknown. A run predicts it and stores it in the cube; users can give their own.
+``gain_w``, NaN where it is unknown. The measurement predicts it and stores it in the cube; users can give
+their own. The argument `frames` is the number of frames from which a velocity was computed, 1 for
+instantaneous.
 """
 
 from pathlib import Path
@@ -36,7 +38,7 @@ def path_factor(omega: Any, dt: float, frames: int) -> Any:
 
 
 def noise_of_displacement(omega: Any, dt: float, frames: int) -> Any:
-    """Return the noise spectrum of displacements over that of the elevation integrated from them."""
+    """Return the noise spectrum of a displacement w dt over that of the elevation integrated from it."""
     return (omega * dt if frames == INSTANTANEOUS else 2 * np.sin(omega * dt / 2)) ** 2
 
 
@@ -54,7 +56,7 @@ PREDICTED = "linear theory"  # first words of the attribute `origin` of a predic
 
 
 def read_gain(source: str | Path | xr.Dataset) -> xr.Dataset:
-    """Return a gain, or read it from the store `source`; StoreError if the gain of z or w is missing."""
+    """Return a gain, or read it from the store `source`; raise StoreError if that of z or w is missing."""
     if isinstance(source, xr.Dataset):
         gain = source
     else:
@@ -71,8 +73,9 @@ def read_gain(source: str | Path | xr.Dataset) -> xr.Dataset:
 def gain_of(
     cube: xr.Dataset, requested: str | Path | xr.Dataset | Literal[False] | None = None
 ) -> xr.Dataset | None:
-    """Return the gain requested by the user, else the gain stored in the cube, else None.
-    False stands for no gain. A stored gain without known values for long waves counts as missing."""
+    """Return the gain that the user requested, else the gain stored in the cube, else None.
+    `requested` is a Dataset or its path, or False for no gain. A stored gain that is unknown or below one
+    half at the smallest k counts as missing."""
     if requested is False:
         return None
     if requested is not None:
@@ -87,13 +90,14 @@ def gain_of(
 
 
 def is_predicted(gain: xr.Dataset) -> bool:
-    """Return whether a run predicted the gain; otherwise the user measured it or gave it."""
+    """Return whether the measurement predicted the gain; otherwise it is one that the user gave."""
     return str(gain.attrs.get("origin", "")).startswith(PREDICTED)
 
 
 def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the factor that corrects the power of field `name` for a gain, and a mask: true where known.
-    Both are (k,). Where the amplitude gain is below one half, the factor is 1 and the mask false."""
+    """Return the factor that corrects the power of the field `name` for a gain, and a mask of where it does.
+    Both are (k,). Where the amplitude gain is below one half, the factor is 1 and the mask false. Without a
+    gain of this field, all factors are 1 and the mask is true."""
     if f"gain_{name}" not in gain:
         return np.ones_like(k), np.ones(k.shape, bool)
     power = ring_gain(gain, name, name, k)
@@ -102,9 +106,9 @@ def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np
 
 
 def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
-    """Return the gain with ``weight`` (direction, k): fractions of the wave energy of a ring of |k|.
-    They follow from the spectrum `plane_w` of w over (ky, kx). Gains of oblique cameras depend on direction.
-    """
+    """Return `gain` with ``weight`` (direction, k), the fractions of the wave energy in a ring of |k|.
+    They follow from the spectrum `plane_w` of w over (ky, kx). Gains of oblique cameras depend on
+    direction."""
     ky, kx = np.meshgrid(plane_w["ky"].values, plane_w["kx"].values, indexing="ij")
     sectors, step = gain.sizes["direction"], float(gain["k"][1] - gain["k"][0])
     cell = min(float(np.diff(plane_w[name][:2])[0]) for name in ("ky", "kx"))
@@ -119,8 +123,9 @@ def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
 
 
 def ring_gain(gain: xr.Dataset, one: str, other: str, k: Array) -> Array:
-    """Return the gain of the power or cross spectrum of two fields, (k,), averaged over directions.
-    Above the largest known k it is 0."""
+    """Return the gain of the power or cross spectrum of two fields at `k`, (k,), averaged over directions.
+    It is the product of the amplitude gains of the fields `one` and `other`, and 0 above the largest known
+    k."""
     product = gain[f"gain_{one}"] * gain[f"gain_{other}"] * gain.get("weight", 1.0 / gain.sizes["direction"])
     product = product.sum("direction", skipna=False)
     known = np.isfinite(product.values)

@@ -21,7 +21,7 @@ _AXES = ("time", "y", "x")
 
 
 def lags(longest: int) -> Array:
-    """Return the lags 1, 2, 3, 4, 6, 8, 12, ... up to `longest`, in steps or nodes, (lags,)."""
+    """Return the lags 1, 2, 3, 4, 6, 8, 12, ... (2^n and 3 times 2^n) up to `longest`, in steps or nodes."""
     doubled = 2 ** np.arange(0, 32)
     both = np.unique(np.concatenate([doubled, 3 * doubled]))
     return both[both <= longest]
@@ -45,7 +45,7 @@ def powers_of_differences(values: Array, axis: int, lag: int, differences: int) 
 
 
 def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[int, int]]]:
-    """Return the blocks of steps, (start, stop, run), into which the runs of a record are cut.
+    """Return the blocks of steps (start, stop, run) into which the unbroken runs of a record are cut.
     A block is twice as long as the `longest` lag, or shorter if there would be fewer than eight."""
     steps = record.steps_in_runs()
     length = max(min(2 * longest, steps // MIN_BLOCKS), 2)
@@ -61,22 +61,23 @@ def structure_functions(field: xr.DataArray, *, differences: int = 1) -> xr.Data
     field : DataArray, (time, y, x)
         Any variable of a cube; time in s, x and y in m. A field on disk is read in pieces.
     differences : int
-        1 for increments f(s + r) - f(s); 2 for f(s + r) - 2 f(s) + f(s - r). Use 2 for spectra steeper
-        than the power -3, where the slope of the longest waves dominates first differences.
+        1 (default) for increments f(s + r) - f(s); 2 for f(s + r) - 2 f(s) + f(s - r). Use 2 for spectra
+        steeper than the power -3, where the slope of the longest waves dominates first differences.
 
     Returns
     -------
     Dataset
         ``structure_time`` (lag_time, order), ``structure_x`` (lag_x, order) and ``structure_y`` (lag_y,
         order): S_p, the mean of |increment|^p for p = 1 to 6, in the field's units to the power p;
-        ``flatness_time``, ``flatness_x``, ``flatness_y``: S_4 / S_2^2; standard uncertainties of all,
-        with ``_std`` after the name. Lags are in s and m. Attributes ``differences``, ``blocks``
-        (the number of blocks in the bootstrap) and ``gaussian_flatness`` (3).
+        ``flatness_time``, ``flatness_x``, ``flatness_y``, each over its lag: S_4 / S_2^2; standard
+        uncertainties of all, with ``_std`` after the name. Lags are in s and m. Attributes ``differences``,
+        ``blocks`` (the number of blocks in the bootstrap) and ``gaussian_flatness`` (3).
 
     Raises
     ------
     CubeError
-        If the record contains fewer than eight blocks of two steps, or ``differences`` is neither 1 nor 2.
+        If the record contains fewer than eight blocks of two steps, fewer than 8 x 8 nodes are measured, or
+        ``differences`` is neither 1 nor 2.
 
     Notes
     -----
@@ -140,7 +141,8 @@ def structure_functions(field: xr.DataArray, *, differences: int = 1) -> xr.Data
 
 
 def _moments(sums: Array) -> tuple[Array, Array]:
-    """Return structure functions (..., lags, orders) and flatness (..., lags) from sums (..., lags, 7)."""
+    """Return structure functions (..., lags, orders) and flatness (..., lags) from sums (..., lags, 7).
+    The first of the seven sums is the number of increments, as in `powers_of_differences`."""
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = sums[..., 1:] / sums[..., :1]
         return mean, mean[..., 3] / mean[..., 1] ** 2

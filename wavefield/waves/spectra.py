@@ -81,7 +81,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     field : DataArray, (time, y, x)
         Any variable of a cube; time in s, x and y in m.
     segment : int, optional
-        Steps of a Welch segment; by default chosen from the record.
+        Steps of a Welch segment, even; by default about a quarter of the longest run of steps, 64 to 512.
     record : Record, optional
         Result of `wavefield.waves.record.find_record`, by default for this field.
 
@@ -147,7 +147,7 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
     field : DataArray, (time, y, x)
         Any variable of a cube; time in s, x and y in m. A field on disk is read in pieces.
     segment : int, optional
-        Steps of a Welch segment; by default chosen from the record.
+        Steps of a Welch segment, even; by default about a quarter of the longest run of steps, 64 to 512.
     record : Record, optional
         Result of `wavefield.waves.record.find_record`, by default for this field.
 
