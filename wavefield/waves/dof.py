@@ -53,7 +53,7 @@ def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
 
 
 def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
-    """Return a spectrum ``E`` with its degrees of freedom ``dof`` and its interval, ``low`` and ``high``."""
+    """Return a spectrum as ``E`` with its ``dof``, at least 1, and its interval, ``low`` and ``high``."""
     dof = dof.clip(min=1)
     low, high = (
         xr.apply_ufunc(lambda d, i=i: interval(d)[i], dof, dask="parallelized", output_dtypes=[float])

@@ -107,7 +107,7 @@ def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Arra
 
 @dataclass(frozen=True)
 class _Gains:
-    """Gains (k,) of the power spectra of z and w, 0 where too small, and of their cross spectrum."""
+    """Gains (k,) of the power spectra of z and w, 0 if too small, and of the cross spectrum of both."""
 
     z: Array
     w: Array
@@ -126,7 +126,7 @@ class _Gains:
         return np.asarray((self.z > 0) & (self.w > 0))
 
     def elevation(self, cross: Array) -> Array:
-        """Return the elevation spectrum from the cross spectrum of z and w, 0 where it is not corrected."""
+        """Return the elevation spectrum (omega, k) from `cross`, that of z and w; 0 if not correctable."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.both_usable, cross / self.zw, 0.0)
 
@@ -308,7 +308,7 @@ def _fused(
     depth: float,
     gamma: float,
 ) -> xr.Dataset:
-    """Return the result of `fused_spectra` from the sums of an analysis; `density_w` is E(omega, ky, kx)."""
+    """Return the result of `fused_spectra` from sums of an analysis; `density_w` is E(omega, ky, kx)."""
     zw = density(ring_sums.pop("map z*w"), welch)  # frees memory: no other product needs it
     water = depth, gamma
     spectra = _elevations(ring, welch, density_w, zw, used.velocity, water)
@@ -354,8 +354,8 @@ def _fused(
 
 
 def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
-    """Return a mask (omega,): true where most `energy` (omega, k) is near free waves or at larger k.
-    Elsewhere it is mostly leakage of the peak."""
+    """Return a mask (omega,): true where most of `energy` (omega, k) is near free waves or at larger k.
+    Elsewhere it is mostly leakage of the spectral peak."""
     along = dispersion(_TABLE_K, *water) + _TABLE_K * spectra.speed
     longest = np.interp(spectra.omega, along, _TABLE_K)  # free waves that propagate along the current
     shorter = spectra.k > MIN_FREE_K * longest[:, None]
@@ -375,11 +375,11 @@ def fused_spectra(
     record: Record | None = None,
 ) -> xr.Dataset:
     """Return elevation spectra of a cube by the four `METHODS`, and the noise of z and w.
-    ``Ez`` (source, omega), m2 s, is from z (stereo), w, their cross spectrum (cross) and their combination
-    with the least noise in each cell (fusion). The noises S_zz - Re S_zw and S_ww - Re S_zw of the elevation
-    spectra S are fitted in each ring of k as white noise of z and of w dt. With gains H, the elevation
-    spectrum is S_zw / (H_z H_w). On a current U, w is integrated at omega - k . U, which is not accurate in
-    the five lowest lines."""
+    ``Ez`` (source, omega), m2 s, is from z (stereo), w, their cross spectrum S_zw (cross), and both with
+    weights by their inverse noise in each cell (fusion). The noises S_zz - Re S_zw and S_ww - Re S_zw of
+    elevation spectra are fitted in each ring of k as white noise of z and of w dt. With gains H, the
+    elevation spectrum is S_zw / (H_z H_w). On a current U, w is integrated at omega - k . U, which is not
+    accurate in the five lowest lines."""
     water = water_of(cube.attrs, depth)
     gain = None if gain is None else read_gain(gain)
     cube = checked_fields(cube, NAMES)

@@ -2,7 +2,7 @@
 
 Some estimators take a field over (time, y, x), others a cube. Those of the dispersion relation take a
 spectrum E(omega, ky, kx), or a cube or field whose spectrum they compute. Depth, surface tension and degrees
-of freedom are read from the input if the caller does not give them.
+of freedom are read from this argument if the caller does not give them.
 """
 
 import functools
@@ -27,8 +27,10 @@ Convert = Callable[[Any, str], tuple[Any, dict[str, Any]]]
 
 
 def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
-    """Make a decorator that replaces the first argument of an estimator by ``convert(argument, name)``.
-    `convert` also returns parameters stored in the argument, which are used where the caller gives none."""
+    """Return a decorator that replaces the first argument of an estimator by a converted one.
+    ``convert(argument, name)``, with the name of the estimator, returns the new argument and a dictionary of
+    other parameters that the argument holds, such as the depth; these are used where the caller gives
+    none."""
 
     def decorate(estimator: Estimator) -> Estimator:
         signature = inspect.signature(estimator)
@@ -79,12 +81,12 @@ def water_parameters(given: Any) -> dict[str, float]:
 
 
 def keep_water(out: xr.Dataset, given: xr.DataArray) -> xr.Dataset:
-    """Return `out` with the coordinates of `given` for depth and surface tension, if it has them."""
+    """Return `out` with the coordinates of `given` for water depth and surface tension, if it has them."""
     return out.assign_coords({name: given.coords[name] for name in WATER if name in given.coords})
 
 
 def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
-    """Return a DataArray and its water parameters; else raise CubeError, which names the estimator."""
+    """Return `given`, a DataArray, and its water parameters; or raise CubeError for estimator `name`."""
     if not isinstance(given, xr.DataArray):
         raise CubeError(
             f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"
@@ -93,7 +95,7 @@ def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
 
 
 def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return `given` and no parameters if it is a cube; else raise CubeError, which names the estimator."""
+    """Return `given`, a cube, and no parameters; else raise CubeError for the estimator `name`."""
     if isinstance(given, str | Path):
         raise CubeError(f"{name} needs a cube, not its path; use wavefield.open_cube({str(given)!r})")
     if not is_cube(given):
@@ -138,9 +140,9 @@ def cube(
     Returns
     -------
     Dataset
-        The fields with their units; ``path_frames``, the number of frames per velocity (1 for
-        instantaneous velocities, 2 for displacements); attributes ``velocity``, ``frame_rate`` (Hz) and
-        ``water_depth`` (m). Lazy if the fields are.
+        The fields over (time, y, x) with units (m, m/s); ``path_frames``, the number of frames per velocity (1
+        for instantaneous velocities, 2 for displacements); attributes ``velocity``, ``frame_rate`` (Hz) and
+        ``water_depth`` (m). The fields are lazy if those given are.
 
     Raises
     ------
@@ -157,10 +159,11 @@ def cube(
     --------
     A deep-water wave of 10 mm in still water.
 
+    >>> import numpy as np, xarray as xr, wavefield as wf
     >>> t, y, x = np.arange(100) * 0.05, np.arange(16) * 0.05, np.arange(20) * 0.05
     >>> z = 10 * np.cos(12.3 * x - 10.98 * t[:, None, None] + 0 * y[:, None])
     >>> z = xr.DataArray(z, {"time": t, "y": y, "x": x}, ("time", "y", "x"), attrs={"units": "mm"})
-    >>> found = cube(z, velocity="instantaneous", depth=0.7)
+    >>> found = wf.cube(z, velocity="instantaneous", depth=0.7)
     >>> sorted(found.data_vars), round(float(found.z.max()), 4)
     (['z', 'z_t'], 0.01)
     """
@@ -209,7 +212,9 @@ def _seconds(name: str, field: object) -> xr.DataArray:
 
 
 def _rate(z: xr.DataArray) -> xr.DataArray:
-    """Return the time derivative of z, m/s, over (time, y, x); NaN at nodes that are never measured."""
+    """Return the time derivative of z, m/s, over (time, y, x); NaN at nodes that are never measured.
+    It is that of a spline through all steps of a node. CubeError is raised if a node lacks some steps
+    only."""
     t = z["time"].values.astype(float)
 
     def derive(values: np.ndarray) -> Any:

@@ -1,8 +1,10 @@
-"""Compiled inner loops of the spectral estimators, on plain arrays.
+"""Compiled inner loops of the spectral estimators, on plain arrays, with results in ``out``.
 
 A spatial transform is stored by steps, with one value for each cell ky x (kx >= 0). `join` turns it into
-series in time, one for each cell. The loops vectorise: they run along contiguous memory, treat real and
-imaginary parts separately, have no branches, and use unsigned indices where they run backwards.
+series in time, one for each cell; their Fourier transforms f, called lines, are (cells, n). The loops
+vectorise: they run along contiguous memory, treat real and imaginary parts separately, have no branches, and
+use unsigned indices where they run backwards. ``start``, ``ring``, ``weight`` and ``spread`` are from
+`Rings`.
 """
 
 from typing import Any
@@ -24,8 +26,8 @@ _TILE = 8  # steps transposed at once: a cache line of 64 bytes
 
 @_loose
 def join(first: Array, second: Array, window: Array, out: Array) -> None:
-    """Join the halves (n / 2, 2 cells) of a segment without mean and trend, windowed, in ``out``.
-    ``out`` is (cells, 2 n); real and imaginary parts alternate."""
+    """Join the halves (n / 2, 2 cells) of a segment, less mean and trend and times ``window`` (n,).
+    ``out`` is (cells, 2 n). In all arrays, real and imaginary parts alternate."""
     half, columns = first.shape
     n = 2 * half
     middle = (n - 1) / 2
@@ -73,7 +75,8 @@ def _add_row(row: Array, factor: float, out: Array) -> None:
 @_loose
 def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Array, out: Array) -> None:
     """Add powers of Fourier lines f (cells, n), summed over rings, to ``out`` (2, rings, n // 2 + 1).
-    ``out`` gets |f|^2 with ``weight`` and |f|^4 with ``spread``; both signs of omega are added together."""
+    ``out[0]`` gets |f|^2 times ``weight`` and ``out[1]`` |f|^4 times ``spread``, with both signs of omega
+    together."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n, f.real.dtype)
@@ -99,8 +102,9 @@ def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Arra
 
 @_rounded
 def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Array, out: Array) -> None:
-    """Add the cross products conj(f) g of Fourier lines (cells, n) to ``out`` (2, rings, n // 2 + 1).
-    ``out`` gets real and imaginary parts, with the sign of waves exp(i (k . x - omega t))."""
+    """Add the cross products conj(f) g, summed over rings, to ``out`` (2, rings, n // 2 + 1).
+    f and g are Fourier lines (cells, n). ``out`` gets real and imaginary parts, with the sign of waves exp(i
+    (k . x - omega t))."""
     cells, n = f.shape
     half = n // 2
     real = np.empty(n, f.real.dtype)
@@ -125,7 +129,7 @@ def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Ar
 
 @_loose
 def ring_squares(f: Array, g: Array, start: Array, ring: Array, spread: Array, out: Array) -> None:
-    """Add |f|^2 |g|^2 of Fourier lines (cells, n) to ``out`` (rings, n // 2 + 1), as in `ring_powers`."""
+    """Add |f|^2 |g|^2 of Fourier lines (cells, n), summed over rings, to ``out`` (rings, n // 2 + 1)."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n)
@@ -156,7 +160,7 @@ def add_powers(f: Array, out: Array) -> None:
 
 @_rounded
 def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) -> None:
-    """Add ``real`` times the real and ``imaginary`` times the imaginary part of conj(f) g to ``out``."""
+    """Add ``real`` times Re(conj(f) g) and ``imaginary`` times Im(conj(f) g) to ``out`` (cells, n)."""
     for c in range(f.shape[0]):
         a = f[c]
         b = g[c]
@@ -168,7 +172,8 @@ def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) 
 
 @_fast
 def _along(z: Array, factor: float, out: Array) -> None:
-    """Write the derivative of a line into ``out``: central differences of sixth order, lower at the ends."""
+    """Write ``factor``, 1 / dx, times the differences along a line z (n,) into ``out``.
+    Central differences of sixth order, lower at the ends."""
     n = z.size
     if n > 6:
         a, b, c, d, e, f = z[4:], z[2:], z[5:], z[1:], z[6:], z
@@ -193,7 +198,7 @@ def _along(z: Array, factor: float, out: Array) -> None:
 
 @_fast
 def _across(z: Array, i: int, factor: float, out: Array) -> None:
-    """Write dz/dy at row i of z (y, x) into ``out`` (x,), by the differences of `_along`."""
+    """Write dz/dy at row i of z (y, x), with ``factor`` 1 / dy, into ``out`` (x,), as in `_along`."""
     ny, nx = z.shape
     room = min(i, ny - 1 - i)
     if room >= 3:
@@ -220,7 +225,7 @@ def _across(z: Array, i: int, factor: float, out: Array) -> None:
 
 @_fast
 def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
-    """Write dz/dy and dz/dx of z (steps, y, x) into ``z_y`` and ``z_x``."""
+    """Write dz/dy and dz/dx of z (steps, y, x) into ``z_y`` and ``z_x``, of the same shape."""
     for t in range(z.shape[0]):
         for i in range(z.shape[1]):
             _along(z[t, i], 1 / dx, z_x[t, i])
@@ -230,7 +235,8 @@ def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
 @_loose
 def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: Array, counts: Array) -> None:
     """Add the powers 1 to 4 of values (steps, nodes) minus ``mean`` to ``sums`` (4, nodes).
-    The values are also counted in a histogram, whose second bin begins at ``low``."""
+    The values are also counted in ``counts``, a histogram with ``per_unit`` bins per unit, whose second bin
+    begins at ``low``; its first and last bin hold what is outside."""
     last = counts.size - 1
     for r in range(values.shape[0]):
         for i in range(values.shape[1]):
@@ -250,7 +256,7 @@ def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: A
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
     """Add the power of each wave to the spectrum ``out`` (lines, ny, nx), spread over neighbouring cells.
     ``first`` (3, waves) is the first cell along each axis; ``weights`` (3, waves, cells) divide the power.
-    Cells beyond an edge of the k plane continue at its opposite edge; lines outside are left out."""
+    The k plane is periodic: cells beyond an edge are at the opposite edge. Lines outside are left out."""
     lines, ny, nx = out.shape
     near = weights.shape[2]
     columns = np.empty(near, np.int64)

@@ -31,7 +31,7 @@ _INTEGRALS = {"significant_height": (0, 0.5), "mean_square_slope": (2, 1.0), "sl
 
 
 def with_stds(out: xr.Dataset, energy: xr.DataArray, dof: Array, welch: Welch) -> xr.Dataset:
-    """Return `out` with standard uncertainties of significant height and slopes; NaN if they are unknown.
+    """Return `out` with standard uncertainties ``_std`` of significant height and slopes; NaN if unknown.
     `energy` is E(omega, k) of z, and `dof` (omega,) are those of the mean of the spectra of all nodes."""
     energy = energy.fillna(0.0)
     dof = np.maximum(dof * (welch.record.steps_in_runs() * welch.record.dt / welch.duration), 1)[:, None]
@@ -50,7 +50,7 @@ def with_stds(out: xr.Dataset, energy: xr.DataArray, dof: Array, welch: Welch) -
 def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Array) -> tuple[float, float]:
     """Return the frequency of the spectral peak and its standard uncertainty, rad/s.
     The peak is that of a parabola through the logarithm of the highest `valid` line and its neighbours, the
-    uncertainty its scatter in random spectra with the degrees of freedom `dof`."""
+    uncertainty its scatter in random spectra with the degrees of freedom `dof`. All arrays are (omega,)."""
     measured = np.log(np.maximum(np.nan_to_num(energy), 1e-9 * np.nanmax(energy[valid])))
     white = np.random.default_rng(0).standard_normal((BOOTSTRAP_DRAWS, energy.size + 2))
     # filtered noise with the correlations of the powers of a Hann window's lines, 4/9 and 1/36
@@ -71,7 +71,7 @@ Scales = Mapping[str, tuple[float, float]]  # rough mean and standard deviation 
 
 
 def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return a mean and standard deviation of each field from a few steps, for the bins of the histograms."""
+    """Return (mean, standard deviation) of each field, from a few steps, for the bins of the histograms."""
     part = (
         cube[list(names)]
         .isel(time=record.some_steps(SAMPLED_STEPS), y=slice(*record.y), x=slice(*record.x))
@@ -88,8 +88,8 @@ def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict
 
 def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -> dict[str, Array]:
     """Return sums over the steps of fields (steps, ny, nx), by name.
-    ``powers <field>`` (4, nodes), a histogram ``counts <field>``, ``steps``, and ``slopes``, the sum of the
-    squared slopes of z and their number."""
+    For each field ``powers <field>`` (4, nodes) and a histogram ``counts <field>``; ``steps``; and
+    ``slopes``, the sum of the squared slopes of z and the number of nodes in it."""
     out: dict[str, Array] = {}
     for name, values in fields.items():
         mean, std = scales[name]
@@ -106,8 +106,8 @@ def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -
 
 def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
     """Return the moments of a field from sums over steps of (value - `guess`)^p, p = 1 to 4, (4, nodes).
-    They are about the mean in time of each node, since differences of these means are mostly calibration
-    errors; ``mean`` and ``pdf_std`` are those of all values together."""
+    They are about the mean in time of each node, since differences between these means are mostly calibration
+    errors. But ``mean`` and ``pdf_std`` are those of all values together."""
     a1, a2, a3, a4 = powers / steps
     m2 = (a2 - a1**2).mean()
     m3 = (a3 - 3 * a1 * a2 + 2 * a1**3).mean()
@@ -124,7 +124,7 @@ def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
 
 
 def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, float]) -> Array:
-    """Return the density (bins,) of (value - mean) / pdf_std, from a histogram of the rough `scale`."""
+    """Return the density (bins,) of (value - mean) / pdf_std, from counts in bins by the rough `scale`."""
     edges = np.linspace(-REACH, REACH, BINS + 1)
     if not moments["pdf_std"] > 0:
         return np.full(BINS, np.nan)
@@ -134,7 +134,7 @@ def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, floa
 
 
 def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
-    """Return the statistics from the sums of `sums_of`; `dt` turns velocities into displacements."""
+    """Return the statistics from the sums of `sums_of`; `dt`, s, turns velocities into displacements."""
     fields = {name: field for name, field in QUANTITIES.items() if f"powers {field}" in sums}
     rows: dict[str, list[Any]] = defaultdict(list)
     for name, field in fields.items():
@@ -167,7 +167,7 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
     Parameters
     ----------
     cube : Dataset
-        z and, where present, u, v, w over (time, y, x), m and m/s.
+        z (m) and, where present, u, v, w (m/s) over (time, y, x).
 
     Returns
     -------
@@ -176,13 +176,14 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
         (quantity, bin) is the density of (value - ``mean``) / ``pdf_std``, and ``gaussian`` (bin) the
         standard normal density. Over ``quantity``: ``mean``, ``std`` (m), ``skewness``, ``kurtosis``
         (excess), ``count`` and ``n_outliers``, the number of values beyond six standard deviations.
-        ``significant_height`` (m, four standard deviations of z), ``mean_square_slope``, ``slope_rms``
-        and ``peak_frequency`` (Hz) with standard uncertainties ``_std``; NaN in short records.
+        ``significant_height`` (m, four standard deviations of z), ``mean_square_slope``, ``slope_rms`` and
+        ``peak_frequency`` (Hz), each with its standard uncertainty ``_std``. The uncertainties are NaN in a
+        record shorter than a segment, and the peak in one shorter than ten peak periods.
 
     Raises
     ------
     CubeError
-        If the cube has no z, or no rectangle is fully measured.
+        If the cube has no z, or fewer than 8 x 8 nodes are measured.
 
     Notes
     -----
@@ -227,7 +228,7 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
-    """Add peak frequency (Hz), peak wavenumber (rad/m) and steepness to `statistics`, with uncertainties."""
+    """Return `statistics` with peak frequency (Hz), peak wavenumber (rad/m), steepness and their ``_std``."""
     stereo = fused.sel(source="stereo")  # integrated w has no lowest lines, in which the peak may be
     lines = inner(fused.sizes["omega"])
     peak, std = peak_and_std(stereo["Ez"].values, lines, stereo["dof_Ez"].values, fused["omega"].values)

@@ -53,7 +53,7 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
     Parameters
     ----------
     cube : Dataset
-        z, z_t, u, v, w over (time, y, x), m and m/s, at mid-time. Lazy input gives a lazy result.
+        z (m), z_t, u, v, w (m/s) over (time, y, x), all at the same times. Lazy input gives a lazy result.
     current : tuple of float, optional
         Current U along x and y, m/s, which is subtracted from u in the nonlinear term; by default the mean of
         u and v over the record.
@@ -61,7 +61,7 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
     Returns
     -------
     Dataset
-        Over (time, y, x): slopes ``z_x``, ``z_y``; ``nonlinear``, (u - U) . grad z, and ``residual``, z_t
+        Over (time, y, x): slopes ``z_x``, ``z_y`` (1); ``nonlinear``, (u - U) . grad z, and ``residual``, z_t
         - w + u . grad z, m/s; ``vorticity``, v_x - u_y, and ``divergence``, u_x + v_y, of the velocity at
         the surface, 1/s. ``mean_current_x`` and ``mean_current_y``, the current U, m/s;
         ``nonlinear_ratio``, the rms of the nonlinear term over that of w.
@@ -69,7 +69,7 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
     Raises
     ------
     CubeError
-        If a variable is missing or the axes are uneven.
+        If a variable is missing or the steps of an axis are unequal.
 
     Notes
     -----
@@ -136,7 +136,8 @@ def kinematics_at(snapshot: xr.Dataset) -> xr.Dataset:
 def balance(
     fields: Mapping[str, Array], i: int, dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, float]:
-    """Return the rms over the nodes of step i of the terms of the kinematic condition, by name."""
+    """Return the rms over all nodes, at step `i` of the fields, of w, z_t and derived terms, by name.
+    The terms are the nonlinear term, on a `current` in m/s, the residual, vorticity and divergence."""
     step = {name: fields[name][i].astype(float) for name in FIELDS}
     parts = terms(step, dy, dx, current)
     values = {
@@ -151,7 +152,8 @@ def balance(
 
 
 def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
-    """Return the part of the group `kinematics` with the rms of each term at some steps, from `balance`."""
+    """Return the part of the group `kinematics` with the rms of each term at some steps.
+    `rows` holds a result of `balance` for each of them, with its ``step``."""
     time = cube["time"].values.astype(float)
     steps = np.array([row["step"] for row in rows], int)
     names = [name for name in rows[0] if name != "step"] if rows else []
@@ -178,7 +180,8 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Return the ratio sqrt(E_nl / E_w) over k and over omega, with its 95 % interval, for `kinematics`."""
+    """Return the ratio sqrt(E_nl / E_w) over k and over omega, with its 95 % interval, for `kinematics`.
+    `spectra` is the group of that name; nl is the nonlinear term."""
     out: dict[str, Any] = {}
     w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))
     for axis in ("k", "omega"):

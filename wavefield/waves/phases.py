@@ -25,18 +25,18 @@ def phase_average(cube: xr.Dataset, period: float, *, phases: int = 24) -> xr.Da
     Parameters
     ----------
     cube : Dataset
-        z and, where present, z_t, u, v, w over (time, y, x), m and m/s. A cube on disk is read in pieces.
+        z (m) and, where present, z_t, u, v, w (m/s) over (time, y, x). A cube on disk is read in pieces.
     period : float
         Period of the waves, s. Phase 0 is at time 0 of the cube.
     phases : int
-        Number of phases per period.
+        Number of phases per period, 24 by default.
 
     Returns
     -------
     Dataset
         Each field averaged over (phase, y, x), in its own units; ``<field>_std``, its standard uncertainty;
         ``<field>_rest`` (y, x), the standard deviation in time of the part that does not repeat; ``phase``,
-        rad; ``steps`` (phase), the number of steps averaged; ``harmonic_amplitude``, m, and
+        rad; ``steps`` (phase), the sum of the weights of steps; ``harmonic_amplitude``, m, and
         ``harmonic_phase``, rad, (harmonic, y, x), of the first three harmonics of z, NaN from about the
         Nyquist frequency on. Attribute ``period``, s.
 
@@ -87,7 +87,8 @@ def phase_average(cube: xr.Dataset, period: float, *, phases: int = 24) -> xr.Da
 
 
 def phase_weights(angle: Array, phases: int) -> Array:
-    """Return the weight of each step in each phase, (steps, phases): linear, in the two nearest phases."""
+    """Return the weight of each step in each phase, (steps, phases): linear, in the two nearest phases.
+    `angle` (steps,) is the phase of the steps, rad."""
     place = angle / (2 * np.pi) * phases
     low = np.floor(place)
     out = np.zeros((angle.size, phases))
@@ -98,7 +99,8 @@ def phase_weights(angle: Array, phases: int) -> Array:
 
 
 def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict[str, Array]:
-    """Return sums over the steps of each field at every node: with `weights`, `design`, and of squares."""
+    """Return sums over steps at every node: of each field times `weights` or `design`, and of its square.
+    The keys are "mean <field>", "fit <field>" and "square <field>"."""
     sums: dict[str, Array] = {}
     first = 0
     for run in read.record.runs:

@@ -1,4 +1,4 @@
-"""Wave probes: their elevation spectra, and a comparison with the elevation of the cube at their places."""
+"""Wave probes: their elevation spectra, and a comparison with the elevation of the cube next to them."""
 
 import warnings
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ SAME_WAVES = 0.8  # chosen: least correlation; noise of a fifth of the waves' va
 
 @dataclass(frozen=True)
 class ProbeFit:
-    """Comparison of a probe with the elevation of the cube at its place."""
+    """Comparison of one wave probe with the elevation of the cube at the position of the probe."""
 
     name: str  # of the probe
     at_zero_lag: float  # correlation without a correction of the clock
@@ -42,7 +42,7 @@ class ProbeFit:
     gain: float  # standard deviation of the probe over that of the elevation
 
     def problems(self, dt: float) -> Iterator[tuple[str, str]]:
-        """Yield the faults of the probe, each with a remedy; dt is the time step of the cube, s."""
+        """Yield the faults of the probe, each with a remedy, two texts; `dt` is the step of the cube, s."""
         if abs(self.best) < SAME_WAVES:
             yield (
                 f"it is unlike the elevation at its place at any time (correlation {self.best:.2f})",
@@ -64,7 +64,7 @@ class ProbeFit:
 
 
 def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
-    """Compare every probe inside the field with the elevation z (time, y, x) at its place.
+    """Compare every probe inside the field with the elevation z (time, y, x) at the position of the probe.
     The best lag is that of the largest correlation, positive or negative, among lags at which half of the
     record overlaps. Probes with fewer than 40 samples are left out."""
     time = z["time"].values.astype(float)
@@ -86,8 +86,9 @@ def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
 
 
 def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
-    """Resample the elevation `values` of a probe at times `clock` to the time step dt of the cube.
-    Values are averaged over a step if the probe samples faster. None if fewer than 40 samples remain."""
+    """Return times and elevations of a probe, resampled to the time step `dt` of the cube, s.
+    `values` at times `clock` are averaged over a step if the probe samples faster. None if fewer than 40
+    samples remain."""
     good = np.isfinite(values) & np.isfinite(clock)
     if good.sum() < MIN_SAMPLES:
         return None
@@ -100,7 +101,8 @@ def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
 
 
 def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: float) -> ProbeFit | None:
-    """Compare a probe with the elevation `here` of the cube at its place; None if they overlap too little."""
+    """Return the fit of a probe, with `values` at times `clock`; None if it overlaps the cube too little.
+    `here` is the elevation of the cube at the position of the probe, at the times `time`."""
     lags, found = correlation(here, values, int(MIN_OVERLAP * time.size))
     if not lags.size:
         return None
@@ -139,11 +141,10 @@ LONGEST_GAP = 3  # chosen: samples of a dropout of the logger that are interpola
 
 
 def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, float]) -> xr.Dataset:
-    """Return elevation spectra of probes in the time `span` of a record, at the frequencies `omega`.
-    `omega` sets the duration of Welch segments. The mean of the probes has the degrees of freedom of one,
-    because neighbouring probes measure the same waves. Incomplete probes are left out with a warning. Raises
-    CubeError if probes and record overlap in less than a segment, steps are unequal, or no probe is complete.
-    """
+    """Return elevation spectra of `probes` in the time `span` (s) of a record, at the frequencies `omega`.
+    `omega` sets the duration of segments. The mean of the probes has the degrees of freedom of one, since
+    they measure the same waves. Incomplete probes are left out with a warning. Raises CubeError if probes and
+    record overlap in less than a segment, steps are unequal, or no probe is complete."""
     target = omega.values
     duration = 2 * np.pi / float(omega[1] - omega[0])
     inside, rate = _shared_time(probes["time"].values, span, duration)
@@ -185,7 +186,8 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
 
 
 def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[NDArray[np.bool_], float]:
-    """Return a mask of the probe samples within `span`, and their sampling rate, Hz."""
+    """Return a mask of the probe samples within `span`, s, and their sampling rate, Hz.
+    Raises CubeError if they last less than `duration`, s, or have unequal steps."""
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(
@@ -200,7 +202,8 @@ def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tup
 
 
 def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int]:
-    """Return frequencies (rad/s), the spectral density (probe, omega) and the number of segments."""
+    """Return frequencies, rad/s, the spectral density (probe, omega) and the number of segments.
+    `values` (probe, time) are sampled at `rate`, Hz; segments last `duration`, s."""
     from scipy.signal import welch  # takes a second to import
 
     n = min(round(duration * rate), values.shape[1])

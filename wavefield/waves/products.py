@@ -46,7 +46,7 @@ GIVEN = {
 
 @dataclass(frozen=True)
 class WaveProduct:
-    """A result of an analysis: the function that computes it, and the names of its inputs."""
+    """One result of an analysis (a product): its name, the function that computes it, and its inputs."""
 
     name: str
     inputs: tuple[str, ...]  # names in `GIVEN`, or of other products
@@ -62,7 +62,7 @@ class WaveProduct:
 
 
 class Noted(NamedTuple):
-    """The value of a product, or None if the record allows none, with notes for the user."""
+    """The value of a product (None if the record does not allow one), with notes for the user."""
 
     value: Any
     notes: Sequence[str]
@@ -72,7 +72,7 @@ _REGISTRY: dict[str, WaveProduct] = {}
 
 
 def register(*products: WaveProduct) -> None:
-    """Add products and their variables to the registry; raises ValueError if a name is taken."""
+    """Add products and their variables to the registry; raise ValueError if a name is taken."""
     for product in products:
         if product.name in GIVEN or _REGISTRY.setdefault(product.name, product) != product:
             raise ValueError(f"there is a product or a given value {product.name!r} already")
@@ -90,8 +90,9 @@ def registered() -> list[WaveProduct]:
 def compute_ready(
     waiting: list[WaveProduct], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
 ) -> dict[str, Sequence[str]]:
-    """Compute all products in `waiting` that `values` and other products allow; return their notes by name.
-    It moves their values to `values`. `each(work, items)` computes costly products on workers."""
+    """Compute all products in `waiting` whose inputs are or become known; return their notes by name.
+    The products are removed from `waiting`, and their values are added to `values`. `each(work, items)`
+    computes costly ones on workers."""
     notes: dict[str, Sequence[str]] = {}
     while ready := [product for product in waiting if all(name in values for name in product.inputs)]:
         # quick products first, so that as many as possible of the others can run in parallel
@@ -107,8 +108,9 @@ def compute_ready(
 
 
 def _computed(job: tuple[Callable[..., Any], Sequence[object], str]) -> Noted:
-    """Compute a product from its function, its inputs, and the first words of a note.
-    If the function raises CubeError, the note gives the reason; without first words, the error is raised."""
+    """Return the value and notes of a job: a function, its inputs and the first words of a note.
+    If the function raises CubeError, the value is None and the note gives the reason; but with empty first
+    words, the error is raised."""
     compute, inputs, without = job
     with np.errstate(all="ignore"):
         try:

@@ -1,4 +1,4 @@
-"""The record that spectra are computed from: the largest full rectangle and the unbroken runs of a cube."""
+"""The part of a cube that spectra are computed from: a rectangle of nodes and runs of unbroken steps."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ ROUNDS = 3  # alternations between the prior spectrum and the filled values; a f
 
 
 def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
-    """Return a block (steps, ny, nx) with the most probable values at `missing` steps and NaN nodes.
+    """Return a block (steps, ny, nx) with the most probable values at NaN and in all `missing` steps.
     A few gaps are each filled from their surroundings, many of them from all steps near them at once."""
     if not missing.any() and all_finite(block):
         return block
@@ -44,7 +44,8 @@ def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
 
 def fill_error(block: Array) -> float:
     """Return the standard deviation of the error of `fill` at the middle step of a block.
-    Measured nodes half a field away from the holes are removed, filled and compared. NaN if there is none."""
+    Measured nodes half a field away from the holes are removed, filled and compared. NaN without such
+    nodes."""
     holes = ~np.isfinite(block)
     ny, nx = holes.shape[1:]
     elsewhere = np.roll(holes, (ny // 2, nx // 2), (1, 2))  # at all steps, since a hole may last
@@ -57,9 +58,9 @@ def fill_error(block: Array) -> float:
 
 def most_probable(block: Array, hole: NDArray[np.bool_]) -> Array:
     """Return the most probable values at the holes of a block (steps, ny, nx), as (hole.sum(),).
-    They are the conditional mean of a Gaussian process with the spectrum S(omega, |k|) of the filled block,
-    so S and the values are computed in turns. With the filter G of gain 1 - min(S) / S, the missing nodes m
-    and the observed nodes o of the fluctuations satisfy x_m = G_mm x_m + G_mo x_o."""
+    They are the conditional mean of a Gaussian process. Its spectrum S(omega, |k|) is that of the filled
+    block, so S and the values are found in turns. The missing nodes m and observed nodes o of the
+    fluctuations x satisfy x_m = G_mm x_m + G_mo x_o, with the filter G of gain 1 - min(S) / S."""
     mean = block[~hole].mean(dtype=float)
     known = np.where(hole, 0, block - mean).astype(block.dtype)
     weight = ndimage.gaussian_filter((~hole).astype(block.dtype), 1.0)
@@ -116,7 +117,7 @@ FIELDS = ("z", "z_t", "u", "v", "w")
 
 @dataclass(frozen=True)
 class Record:
-    """Rectangle of nodes, and runs of unbroken steps, that the estimators use of a cube."""
+    """The part of a cube that estimators use: a rectangle of nodes, and runs of steps without long gaps."""
 
     y: tuple[int, int]  # first node of the rectangle, and one past its last
     x: tuple[int, int]
@@ -143,7 +144,7 @@ class Record:
         return sum(b - a for a, b in self.runs if b - a >= shortest)
 
     def some_steps(self, count: int) -> list[int]:
-        """At most ``count`` evenly spaced measured steps of the runs."""
+        """Return at most ``count`` evenly spaced measured steps of the runs."""
         missing = set(self.bridged)
         steps = [t for a, b in self.runs for t in range(a, b) if t not in missing]
         return sorted({steps[i] for i in np.linspace(0, len(steps) - 1, count).astype(int)})
@@ -175,7 +176,7 @@ def _spacing(array: xr.DataArray | xr.Dataset, name: str) -> float:
 
 def check_axes(array: xr.DataArray | xr.Dataset) -> tuple[float, float, float]:
     """Return the steps dt (s), dy and dx (m) of the axes of a cube.
-    Raises `CubeError` if a dimension or coordinate is missing, or if steps are uneven or negative."""
+    Raises `CubeError` if a dimension or coordinate is missing, or if steps are unequal or negative."""
     for name in CUBE_DIMS:
         if name not in array.dims:
             raise CubeError(
@@ -197,7 +198,7 @@ def check_axes(array: xr.DataArray | xr.Dataset) -> tuple[float, float, float]:
 
 
 class _Stored:
-    """Part of a stored field; it is read when converted to an array, and xarray does not cache it."""
+    """Part of a field on disk: read whenever it is converted to an array, and not cached by xarray."""
 
     def __init__(self, variable: xr.Variable, area: tuple[slice, slice, slice]) -> None:
         self.variable, self.area = variable, area
@@ -230,8 +231,8 @@ def all_finite(block: np.ndarray) -> bool:
 
 def outside_holes(finite: np.ndarray) -> np.ndarray:
     """Return a mask (steps, ny, nx) that is True outside holes, from the mask `finite` of measured nodes.
-    A hole is covered by squares of missing nodes, `HOLE_SIDE` a side; nodes beyond an edge count as missing.
-    """
+    A hole is covered by squares of missing nodes, `HOLE_SIDE` a side; nodes beyond an edge count as
+    missing."""
     side = np.ones((1, HOLE_SIDE, HOLE_SIDE), bool)
     holes = np.zeros_like(finite)
     for axis in (1, 2):  # one axis at a time, or a single missing node in a corner would be a hole
@@ -244,7 +245,7 @@ def outside_holes(finite: np.ndarray) -> np.ndarray:
 
 def _finite(pieces: list[object]) -> np.ndarray | None:
     """Return two packed masks (2, steps, bytes): nodes measured in all fields, and nodes outside holes.
-    The result is None if no value is missing."""
+    `pieces` holds a block (steps, ny, nx) of each field. The result is None if no value is missing."""
     mask = None
     for part in pieces:  # one field at a time saves memory
         block = np.asarray(part)
@@ -257,7 +258,8 @@ def _finite(pieces: list[object]) -> np.ndarray | None:
 
 
 def _runs(valid_steps: np.ndarray) -> tuple[list[tuple[int, int]], list[int]]:
-    """Return the runs of valid steps, as (first, past the last), and the missing steps inside them."""
+    """Return the runs of valid steps, as (first, past the last), and the missing steps inside them.
+    Runs may contain gaps of up to two steps. `valid_steps` is a mask (steps,)."""
     edges = np.flatnonzero(np.diff(np.r_[False, valid_steps, False].astype(int)))
     runs: list[tuple[int, int]] = []
     bridged: list[int] = []
@@ -275,10 +277,10 @@ def _finite_steps(arrays: Sequence[xr.DataArray], steps: tuple[int, int]) -> np.
 
 
 def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Record:
-    """Find the largest rectangle of measured nodes, and the runs of measured steps, of a cube.
+    """Return the largest rectangle of measured nodes, and the runs of measured steps, of a cube.
     Nodes that are missing at some steps, and gaps of at most two steps, are interpolated; longer gaps split
-    the record. The values are read once, and only masks are kept in memory. `each(work, items)` maps work
-    over items on workers. Raises CubeError if axes are uneven or no rectangle of 8 x 8 nodes is measured."""
+    the record. Values are read once; only masks are kept. `each(work, items)` maps work over items on
+    workers. Raises CubeError if steps of axes are unequal or no rectangle of 8 x 8 nodes is measured."""
     dt, dy, dx = check_axes(cube)
     arrays = [cube] if isinstance(cube, xr.DataArray) else [cube[name] for name in FIELDS if name in cube]
     if not arrays:
@@ -334,7 +336,7 @@ def _measured(cube: object, steps: int) -> np.ndarray:
 
 
 def _valid_steps(valid_nodes: _ValidNodes, measured: np.ndarray) -> np.ndarray:
-    """Return a mask of the measured steps with at least half as many values as the median step."""
+    """Return a mask of the `measured` steps with at least half as many values as the median step."""
     ny, nx = valid_nodes.shape
     count = np.full(measured.size, ny * nx)
     for steps, there in valid_nodes:
@@ -351,7 +353,8 @@ def _rectangle(
     valid_nodes: _ValidNodes, valid_steps: np.ndarray, open_water: np.ndarray
 ) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return the largest rectangle of nodes that can be used, as ranges (first, past the last) of y and x.
-    Its nodes are in `open_water`, measured at half of the valid steps, and outside holes at nine tenths."""
+    Its nodes are in `open_water`, measured at half of the valid steps, and outside holes at nine tenths of
+    them."""
     times = np.zeros((2, *valid_nodes.shape), int)  # number of steps measured, and outside of holes
     for steps, there in valid_nodes:
         valid = valid_steps[steps]
@@ -370,7 +373,7 @@ def _rectangle(
 
 
 def _never_masked(cube: xr.Dataset | xr.DataArray, valid_nodes: _ValidNodes) -> np.ndarray:
-    """Return (ny, nx), True for nodes that are masked at no step: masked nodes are not water."""
+    """Return a mask (ny, nx), True for nodes that are masked at no step: masked nodes are not water."""
     out = np.ones(valid_nodes.shape, bool)
     if isinstance(cube, xr.Dataset) and "quality" in cube:
         for steps, there in valid_nodes:
@@ -388,7 +391,7 @@ def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
 
 
 def filled_error(record: Record, field: xr.DataArray) -> float:
-    """Return the standard deviation of the error at filled nodes; 0 without such nodes, NaN if unknown."""
+    """Return the standard deviation of the error at interpolated nodes; 0 without them, NaN if unknown."""
     if not record.holes:
         return 0.0
     inside = [t for a, b in record.runs for t in range(a + FILL_MARGIN, b - FILL_MARGIN)]
@@ -404,6 +407,6 @@ def filled_error(record: Record, field: xr.DataArray) -> float:
 
 
 def filled_density(record: Record, field: xr.DataArray) -> float:
-    """Return what the errors of filled nodes, taken as white, add to E(omega) of a field; 0 if unknown."""
+    """Return what errors at interpolated nodes, taken as white, add to E(omega) of a field; 0 if unknown."""
     share = record.holes / max(record.steps_in_runs() * record.shape[0] * record.shape[1], 1)
     return float(np.nan_to_num(share * filled_error(record, field) ** 2 * record.dt / np.pi))

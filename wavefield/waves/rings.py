@@ -1,4 +1,4 @@
-"""Rings of |k|: area shares of the cells of the k plane, for integrals over the direction of k."""
+"""Rings of |k|: area fractions of the cells of the k plane, for integrals over the direction of k."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,7 +13,7 @@ HANN_CORRELATION = 1.0, (2 / 3) ** 2, (1 / 6) ** 2
 
 @dataclass(frozen=True, eq=False)
 class Rings:
-    """Rings of equal width in |k|, and the share of each cell of the k plane in each ring."""
+    """Rings of equal width in |k|, and the area fraction of each cell of the k plane in each ring."""
 
     k: np.ndarray  # centres, (rings,), rad/m
     dk: float  # width, rad/m
@@ -43,7 +43,7 @@ def half_plane(ny: int, nx: int, dy: float, dx: float) -> np.ndarray:
 
 
 def mirror_weights(nx: int) -> np.ndarray:
-    """Return weights of the columns kx >= 0 for sums over the full k plane, which is symmetric."""
+    """Return weights of the columns kx >= 0, (nx // 2 + 1,), for sums over the full, symmetric k plane."""
     weights = np.full(nx // 2 + 1, 2.0)
     weights[0] = 1
     if nx % 2 == 0:
@@ -52,7 +52,7 @@ def mirror_weights(nx: int) -> np.ndarray:
 
 
 def _hann_overlap(n: int) -> sparse.csr_array:
-    """Return the squared correlation of lines of a Hann-windowed transform of white noise, (n, n)."""
+    """Return the squared correlation of the `n` lines of a Hann-windowed transform of white noise, (n, n)."""
     rows = np.arange(n)
     out = sparse.eye_array(n, format="csr") * HANN_CORRELATION[0]
     for shift, value in enumerate(HANN_CORRELATION[1:], start=1):
@@ -63,8 +63,9 @@ def _hann_overlap(n: int) -> sparse.csr_array:
 
 @lru_cache(maxsize=8)
 def rings(ny: int, nx: int, dy: float, dx: float) -> Rings:
-    """Divide the k plane of a rectangle of nodes into rings as wide as its cells, corners included.
-    Every cell is split into 8 x 8 parts, and each part belongs to the ring in which its centre lies."""
+    """Return rings as wide as a cell that cover the k plane of a rectangle of nodes, corners included.
+    Nodes are `dy` and `dx` apart, m. Every cell is split into 8 x 8 parts; a part belongs to the ring that
+    contains its centre."""
     cell_y, cell_x = 2 * np.pi / (ny * dy), 2 * np.pi / (nx * dx)
     dk = max(cell_y, cell_x)
     part = (np.arange(SUPERSAMPLING) + 0.5) / SUPERSAMPLING - 0.5

@@ -1,4 +1,7 @@
-"""Smoothing over time: the free waves that best fit the fields of a few successive steps."""
+"""Smoothing over time: the free waves that best fit the fields of a few successive steps.
+
+A window is a block of successive steps; the fields at its middle step are smoothed.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,9 +39,9 @@ ROUNDS = 8  # rounds of learning; in the last, spectra change by a few per cent
 
 class PlaneWaves:
     """Linear model of z, u, v and the rate of rise: free waves on a current, plus a constant per field.
-    An array of n unknowns, complex amplitudes and constants, holds the n real, then the n imaginary parts.
-    The wave vectors lie on rings of |k|, closer than the resolution, so that the fields need not be periodic.
-    """
+    An array of the n unknowns, complex amplitudes and constants, holds the n real, then the n imaginary
+    parts. The wave vectors lie on rings of |k|, closer than the resolution, so that the fields need not be
+    periodic."""
 
     def __init__(
         self, shape: tuple[int, int], step: float, times: Array, current: Array, depth: float, gamma: float
@@ -77,7 +80,7 @@ class PlaneWaves:
         self.response = np.concatenate([wave[:, None] * turning, constant], axis=2)
 
     def fields(self, unknowns: Array) -> Array:
-        """Return the fields z, u, v, rate of rise (fields, times, ny, nx) for given unknowns."""
+        """Return the fields z, u, v and rate of rise, (fields, times, ny, nx), for given unknowns (2 n,)."""
         return self._sums(self.response, unknowns)
 
     def slopes(self, unknowns: Array, time: int) -> Array:
@@ -91,7 +94,7 @@ class PlaneWaves:
 
     def _sums(self, response: NDArray[np.complex128], unknowns: Array) -> Array:
         """Return the fields (fields, times, ny, nx) that the unknowns give.
-        `response` (fields, times, unknowns) is that of each field to each unknown."""
+        `response` (fields, times, n) is that of each field to each unknown."""
         real, imaginary = np.split(unknowns, 2)
         each = response * (real + 1j * imaginary)
         n = self.kx.size
@@ -100,7 +103,7 @@ class PlaneWaves:
         return np.asarray((flat @ self.basis.T).reshape(*each.shape[:2], *self.shape))
 
     def transposed(self, weighted: Array) -> Array:
-        """Apply the transpose of the linear map `fields` to `weighted`, (4, times, ny, nx)."""
+        """Return the transpose of the linear map `fields`, (2 n,), for `weighted` (4, times, ny, nx)."""
         sums = weighted.reshape(-1, self.basis.shape[0]) @ self.basis
         real, imaginary = np.split(sums.reshape(*weighted.shape[:2], -1), 2, axis=-1)
         out = ((real + 1j * imaginary)[..., self.vector] * self.response).sum(axis=(0, 1))
@@ -117,7 +120,8 @@ class PlaneWaves:
     def normal(
         self, products: tuple[NDArray[np.complex128], ...], variance: Sequence[float] | Array
     ) -> Array:
-        """Return the normal matrix of the least-squares fit, (2 n, 2 n), for n unknowns."""
+        """Return the normal matrix of the least-squares fit, (2 n, 2 n), for n unknowns.
+        `products` is the result of the method of that name; `variance` (fields,) is that of the noise."""
         q = self.response.reshape(FIELDS, self.times.size, -1) / np.sqrt(np.asarray(variance))[:, None, None]
         q = q.reshape(-1, self.vector.size)
         hermitian, symmetric = products[0] * (q.conj().T @ q), products[1] * (q.T @ q)
@@ -126,8 +130,9 @@ class PlaneWaves:
         return 0.5 * np.concatenate([upper, lower])
 
     def rows(self, nodes: NDArray[np.intp], time: int) -> Array:
-        """Return the response of four fields and the slopes z_x, z_y at some nodes, (6, nodes, 2 unknowns).
-        `nodes` are indices in the flattened rectangle, and `time` is the index of a time."""
+        """Return the coefficients of the unknowns in six quantities at some nodes, (6, nodes, 2 n).
+        The quantities are z, u, v, rate of rise, z_x and z_y. `nodes` are indices in the flattened rectangle,
+        and `time` is the index of a time."""
         real, imaginary = np.split(self.basis[nodes], 2, axis=1)
         response = np.concatenate([self.response[:, time], self._slope_response(time)])
         each = (real + 1j * imaginary)[:, self.vector] * response[:, None]
@@ -135,8 +140,8 @@ class PlaneWaves:
 
 
 class Posterior:
-    """Gaussian posterior distribution of the unknowns of `PlaneWaves`, given measured fields.
-    It is computed from the normal matrix of the fit and the prior variance of each unknown."""
+    """Gaussian posterior distribution of the n unknowns of `PlaneWaves`, given measured fields.
+    It is computed from the normal matrix of the fit and the prior variance (n,) of the unknowns."""
 
     def __init__(self, normal: Array, prior: Array) -> None:
         self.scale = np.sqrt(np.tile(prior, 2))
@@ -145,14 +150,14 @@ class Posterior:
         self._lower = scipy.linalg.cholesky(matrix, lower=True, overwrite_a=True, check_finite=False)
 
     def solve(self, right: Array) -> Array:
-        """Return the posterior mean of the unknowns.
+        """Return the posterior mean of the unknowns, (2 n,).
         `right` is `PlaneWaves.transposed` of the fields divided by their noise variances."""
         out = scipy.linalg.cho_solve((self._lower, True), self.scale * right, check_finite=False)
         return np.asarray(self.scale * out)
 
     def covariance(self, rows: Array) -> Array:
         """Return the covariance of r linear functions of the unknowns at some nodes, (nodes, r, r).
-        `rows` (r, nodes, 2 unknowns) has their coefficients."""
+        `rows` (r, nodes, 2 n) has the coefficients of the functions."""
         flat = (rows * self.scale).reshape(-1, self.scale.size).T
         half = scipy.linalg.solve_triangular(self._lower, flat, lower=True, check_finite=False)
         half = half.reshape(-1, *rows.shape[:2])
@@ -178,7 +183,7 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Learned:
-    """Wave spectrum and noise, estimated from sample windows; arrays are (fields,) unless stated."""
+    """Wave spectrum and noise, estimated from sample windows; arrays are (fields,) if not noted."""
 
     prior: Array  # (groups,): variance of the amplitudes on each ring, and of the constants
     variance: Array  # median of the squared standard uncertainties of the cube
@@ -190,7 +195,8 @@ class Learned:
 def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array) -> Learned:
     """Estimate spectrum and noise from sample windows (fields, times, ny, nx), 0 outside `mask`.
     In each round of expectation maximisation, the variance of a ring becomes the mean square of its
-    amplitudes plus their posterior variance. ``variance`` (fields,) is that stated in the cube."""
+    amplitudes plus their posterior variance. ``variance`` (fields,) is that of the noise by the cube's
+    standard uncertainties."""
     products = waves.products(mask)
     # the noise that resembles waves is estimated on an orthogonal basis of all plane waves
     basis = waves.basis[mask.ravel()]
@@ -237,7 +243,7 @@ JUMP_OF_TIME = -1.0  # marks a step at which time jumps, in place of its quality
 
 
 class _Smoother:
-    """Smooths single steps of a record; holds the rectangles, spectrum and noise for all steps."""
+    """Smooths single steps of a record; holds the rectangles that cover the grid, spectrum and noise."""
 
     def __init__(
         self,
@@ -268,7 +274,8 @@ class _Smoother:
         self._fits: dict[int, tuple[Posterior, Array]] = {}
 
     def parts(self, window: Array) -> tuple[Array, Array, Array]:
-        """Return z, u, v, rate of rise, their variances (4, times, ny, nx), and a mask of measured nodes."""
+        """Return z, u, v, rate of rise, their variances, each (4, times, ny, nx), and the measured nodes.
+        `window` (9, times, ny, nx) holds z, u, v, w, their standard uncertainties and the quality."""
         z, u, v, w = window[:4].astype(float)
         z_y, z_x = slopes(z, self.step, self.step)
         fields = np.stack([z, u, v, w - u * z_x - v * z_y])
@@ -278,9 +285,9 @@ class _Smoother:
         return np.where(there, fields, 0.0), np.where(there, variance, 1.0), there
 
     def study(self, windows: list[Array]) -> None:
-        """Learn spectrum and noise from sample windows (9, times, ny, nx).
-        Raises CubeError if less than a quarter of the nodes is measured throughout the better half of them.
-        """
+        """Learn spectrum and noise from sample windows (9, times, ny, nx), as in `parts`; they set `learned`.
+        Raises CubeError if less than a quarter of the nodes is measured throughout the better half of the
+        windows."""
         parts = [self.parts(window) for window in windows]
         shares = [there.mean() for _, _, there in parts]
         parts = [parts[i] for i in np.argsort(shares, kind="stable")[len(parts) // 2 :]]
@@ -316,8 +323,8 @@ class _Smoother:
         return self._fits[number]
 
     def smoothed(self, window: Array) -> Array:
-        """Return z, u, v, w and their standard uncertainties, (8, ny, nx), at the middle of a window.
-        Nodes that are not measured, and windows across a jump of time, are returned unchanged."""
+        """Return z, u, v, w and their standard uncertainties, (8, ny, nx), at the middle step of a window.
+        Nodes that are not measured, and windows with a jump of time, are returned unchanged."""
         own = window[:8, self.steps]
         if (window[8] == JUMP_OF_TIME).any():
             return own.astype(np.float32)
@@ -336,7 +343,9 @@ class _Smoother:
         return np.where(usable, total, own).astype(np.float32)
 
     def _tile(self, number: int, fields: Array, variance: Array, there: Array, own: Array) -> Array:
-        """Return z, u, v, w and their variances, (8, ny, nx), of rectangle `number` at the middle time."""
+        """Return z, u, v, w and their variances, (8, ny, nx), of rectangle `number` at the middle step.
+        The arguments are results of `parts` in the rectangle, and `own`, z, u, v, w of the middle step
+        itself."""
         waves, learned, middle = self.waves, self.learned, self.steps
         posterior, covariance = self.fit_of(number)
         mask = self.mask[self.tiles[number]]

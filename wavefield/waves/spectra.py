@@ -1,7 +1,7 @@
 """Power spectra of a field: E(omega, ky, kx), E(k, omega), E(omega) and E(k), by Welch's method.
 
-Fields are transformed in space step by step, then in time segment by segment. Transforms hold only kx >= 0:
-the spectrum of a real field is symmetric.
+Fields are transformed in space step by step, then in time segment by segment. Transforms hold only kx >= 0,
+because the spectrum of a real field is symmetric.
 """
 
 from functools import partial
@@ -33,7 +33,7 @@ Array = NDArray[Any]
 
 
 def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return E(k, omega) as given, or computed from a field; else raise CubeError."""
+    """Return E(k, omega), a result of `komega`, as given or for a field; or raise CubeError for `name`."""
     if is_field(given):
         return komega(given), {}
     if isinstance(given, xr.Dataset) and "E" in given and {"omega", "k"} <= {*given["E"].dims}:
@@ -51,7 +51,7 @@ def _name(field: xr.DataArray) -> str:
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
     """Convert the power on kx >= 0, (cells, n), to omega >= 0 on the whole k plane, (n // 2 + 1, ny, nx).
-    There k points where waves go: numpy's transform has cos(k . x - omega t) at (k, -omega)."""
+    In the result, k points where waves go: numpy's transform has cos(k . x - omega t) at (k, -omega)."""
     n = power.shape[-1]
     power = power.reshape(ny, nx // 2 + 1, n)
     columns = np.arange(nx)
@@ -66,7 +66,7 @@ def unfold(power: Array, ny: int, nx: int) -> Array:
 
 
 def density(power: Array, welch: Welch) -> Array:
-    """Return E(omega, ky, kx) from the power on kx >= 0, (cells, n), summed over segments."""
+    """Return E(omega, ky, kx) from the power on kx >= 0, (cells, n), that is summed over segments."""
     values = unfold(power, *welch.record.shape)
     values *= power.dtype.type(welch.density)
     return values
@@ -120,7 +120,8 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
 
 
 def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dataset:
-    """Return E(omega, ky, kx) of a field with this name and these units as a Dataset with its interval."""
+    """Return E(omega, ky, kx), given as `values`, as a Dataset with its 95 % interval and attributes.
+    `name` and `units` are those of the field."""
     low, high = interval(welch.dof)
     parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}
     out = xr.Dataset(parts, coords=omega_coords(welch.omega) | welch.plane, attrs=welch.attrs)
@@ -130,7 +131,7 @@ def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dat
 
 
 def total(density: xr.DataArray) -> xr.DataArray:
-    """Integrate a spectrum over those of omega, k, ky and kx that it has: the variance of the field."""
+    """Return the integral of a spectrum over all of its axes omega, k, ky, kx: the variance of the field."""
     out = density
     for name in ("omega", "k", "ky", "kx"):
         if name in density.dims:
@@ -201,7 +202,8 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
 
 
 def _attrs_of_sum(given: xr.DataArray | xr.Dataset, axis: str) -> dict[str, Any]:
-    """Return the attributes of E(omega) or E(k), as `axis` is omega or k: name and units."""
+    """Return the attributes (name and units) of E(omega) or E(k); `axis` is "omega" or "k".
+    `given` is the E(k, omega) that is summed."""
     if "field" not in given.attrs:  # several quantities of an analysis
         return TABLE[f"spectra/E_{axis}"].attrs
     return TABLE[f"{axis}/E"].of(given.attrs["field"], density_units(given.attrs["field_units"], axis))
@@ -288,8 +290,8 @@ PLANE = {"omega", "ky", "kx"}
 
 
 def plane_of(field: str, segment: int | None = None) -> Convert:
-    """Return a converter, for `takes`, of a spectrum, a field or a cube to E(omega, ky, kx).
-    From a cube, the spectrum of the variable `field` is computed."""
+    """Return a converter, for `takes`, of a spectrum, field or cube to its E(omega, ky, kx).
+    Of a cube, it computes the spectrum of the variable `field`, with `segment` steps in a Welch segment."""
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
         water: dict[str, Any] = (
@@ -314,7 +316,7 @@ def plane_of(field: str, segment: int | None = None) -> Convert:
 
 
 def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> xr.DataArray:
-    """Return E(omega, ky, kx) of the field `name` from the sums of an analysis."""
+    """Return E(omega, ky, kx) of the field `name` from the sums of an analysis, of which it is removed."""
     power = sums.pop(f"map {name}")  # frees memory: no other product needs it
     values = xr.Variable(("omega", "ky", "kx"), density(power, welch))
     return plane_density(values, FIELD_TEXTS[name], FIELD_UNITS[name], welch)["E"]
@@ -330,7 +332,7 @@ def map_lines(welch: Welch) -> list[int]:
 
 
 def maps(z: xr.DataArray, w: xr.DataArray, welch: Welch) -> xr.Dataset:
-    """Return E(ky, kx) of z and w at `map_lines`: ``E_kxky`` (quantity_map, omega_map, ky, kx)."""
+    """Return ``E_kxky`` (quantity_map, omega_map, ky, kx): E(omega, ky, kx) of z and w at `map_lines`."""
     parts = [field.isel(omega=map_lines(welch)) for field in (z, w)]
     both = xr.concat(parts, xr.Variable("quantity_map", ["z", "w"]))
     return both.drop_vars("frequency").rename(omega="omega_map").drop_attrs().to_dataset(name="E_kxky")

@@ -1,4 +1,7 @@
-"""Sums over Welch segments of the powers and cross products of fields: the engine of all spectra."""
+"""Sums over Welch segments of the powers and cross products of fields, from which all spectra are made.
+
+Quantities are fields of a cube, or nl = (u - U) . grad z and rise = z_t + U . grad z with the mean current U.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -34,7 +37,7 @@ ADVECTED = ("z", "z_t", "u", "v")  # fields of the cube from which rise and nl a
 
 @dataclass(frozen=True)
 class Requested:
-    """Quantities whose power, and pairs of quantities whose cross spectra, are summed over segments."""
+    """Quantities whose powers, and pairs of quantities whose cross products, are summed over segments."""
 
     names: Sequence[str]
     pairs: Sequence[tuple[str, str]] = ()
@@ -49,7 +52,8 @@ def sources(names: Sequence[str]) -> list[str]:
 
 
 def advected(fields: Mapping[str, Array], welch: Welch) -> dict[str, Array]:
-    """Return nl = (u - U) . grad z and rise = z_t + U . grad z, (steps, ny, nx), by name."""
+    """Return nl = (u - U) . grad z and rise = z_t + U . grad z, (steps, ny, nx), by name.
+    `fields` holds z, z_t, u, v (steps, ny, nx); U is the current of `welch`."""
     z, z_t, u, v = (fields[name] for name in ADVECTED)
     z_y, z_x = np.empty_like(z), np.empty_like(z)
     kernels.gradient(z, welch.record.dy, welch.record.dx, z_y, z_x)
@@ -69,9 +73,9 @@ def transforms(
     fields: dict[str, Array], requested: Requested, welch: Welch, memory: Mapping[str, Array] | None = None
 ) -> dict[str, Array]:
     """Return the spatial transforms (cells, steps) of the quantities in half a segment, by name.
-    "points <name>" (nodes, steps) holds values at 16 nodes, and "nodes" (pairs, steps) those at all nodes, of
-    which two are the real and imaginary parts of one number. The function empties `fields`, to free memory,
-    and overwrites the transforms in `memory`."""
+    "points <name>" (nodes, steps) are values at 16 nodes. "nodes" (pairs, steps) has those of all nodes, two
+    in a complex number. The function empties `fields`, to free memory, and overwrites the transforms in
+    `memory`."""
     out, memory, names = {}, memory or {}, requested.names
     if {"nl", "rise"} & {*names}:
         fields |= advected(fields, welch)
@@ -88,9 +92,9 @@ def transforms(
 
 
 def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Array]:
-    """Return the arrays of zeros to which `add_segment` adds, for transforms like `half` (cells, n / 2).
-    By name: powers and squared powers of each quantity, or real and imaginary parts of a pair "a*b", (2,
-    rings, n / 2 + 1); "squares a*b" (rings, n / 2 + 1); "map ..." (cells, n), for single cells."""
+    """Return zeros, to which `add_segment` adds, for transforms like `half` (cells, n / 2), by name.
+    For each quantity, powers and squared powers, and for each pair "a*b", real and imaginary parts: (2,
+    rings, n / 2 + 1). "squares a*b" is (rings, n / 2 + 1). "map ..." (cells, n) is for single cells."""
     cells, steps = half.shape
     names = (*requested.names, *(f"{a}*{b}" for a, b in requested.pairs))
     sums = {name: np.zeros((2, table.k.size, steps + 1)) for name in names}
@@ -108,7 +112,8 @@ def add_segment(
     begin: int,
 ) -> None:
     """Add the powers and cross products of one segment, and its Fourier lines at 16 nodes, to `sums`.
-    `first` and `second` are the results of `transforms` for its halves, and `begin` is its first step."""
+    `first` and `second` are the results of `transforms` for the halves of the segment; `begin` is its first
+    step."""
     if not sums:
         sums |= empty_sums(first[requested.names[0]], requested, welch.table)
     table, dt, names = welch.table, welch.record.dt, requested.names
@@ -141,7 +146,8 @@ def add_segment(
 
 
 def _powers_of_nodes(first: Array, second: Array) -> Array:
-    """Return the power of a segment for omega >= 0, (n // 2 + 1,), from halves (pairs, steps)."""
+    """Return the power of a segment at omega >= 0, (n // 2 + 1,), summed over nodes.
+    Its halves (pairs, steps) are "nodes" of `transforms`."""
     half = first.shape[1]
     transform, sums = TimeTransform(half, first.dtype), np.zeros((CELLS, 2 * half))
     for slab in slabs(first.shape[0]):
@@ -152,7 +158,7 @@ def _powers_of_nodes(first: Array, second: Array) -> Array:
 
 
 def _quadrature(b: Array) -> tuple[Array, Array]:
-    """Return the factors (n,) with which Re S and Im S add up to Re(i exp(i b) S), for b = omega dt / 2.
+    """Return the factors (n,) of Re S and Im S in Re(i exp(i b) S), for b = omega dt / 2.
     At positive frequencies, S of numpy's transforms is the conjugate of that of exp(i (k . x - omega t))."""
     imaginary = np.where(b < 0, -1.0, 1.0) * np.cos(b)
     imaginary[[0, b.size // 2]] = 0.0
@@ -160,9 +166,9 @@ def _quadrature(b: Array) -> tuple[Array, Array]:
 
 
 def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
-    """Return the factor that converts the transform of z at mid-time to z at the first frame of each step.
-    A run interpolates z from six frames that move with the mean flow; for other `frames` it only shifts the
-    time."""
+    """Return the factor that converts the transform of z at mid-step to z at the first frame of each step.
+    It shifts the time by dt / 2. A measurement interpolates z from six frames that move with the mean flow
+    (`frames` above 2); this is corrected, too."""
     start = np.exp(-0.5j * omega * dt)
     if frames <= 2:  # fields of another program
         return np.asarray(start)

@@ -1,4 +1,7 @@
-"""Welch's method in time, y and x: segments, Hann windows, transforms, sums over segments and intervals."""
+"""Welch's method in time, y and x: segments, Hann windows, transforms, sums over segments and intervals.
+
+A run is a range of steps without long gaps; segments are cut from runs and overlap by half.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,7 +32,7 @@ def hann(n: int) -> np.ndarray:
 
 
 def hann_power(distance: np.ndarray) -> np.ndarray:
-    """Return the power that a wave contributes to a line at a `distance` in lines, relative to distance 0."""
+    """Return the power of a wave in a line that is `distance` lines off, relative to that at distance 0."""
     off = np.where(np.abs(np.abs(distance) - 1) < 1e-9, 0.0, 1 - distance**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         amplitude = np.where(off == 0, 0.5, np.sinc(distance) / off)
@@ -63,7 +66,7 @@ def degrees_of_freedom(segments: float) -> float:
 
 
 def interval(dof: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-    """Return two factors: a spectrum times these is the low and high limit of its 95 % interval."""
+    """Return the factors from a spectrum to the low and the high limit of its 95 % interval, as `dof`."""
     dof = np.asarray(dof, float)
     unique, index = np.unique(dof, return_inverse=True)  # many cells have the same number
     quantiles = 1 - CHANCE / 2, CHANCE / 2  # of chi-squared
@@ -78,8 +81,9 @@ def richardson_lucy(
     corrected: Callable[[np.ndarray, np.ndarray], np.ndarray],
     rounds: int,
 ) -> np.ndarray:
-    """Deconvolve a spectrum: return a non-negative one that the window turns into `measured`.
-    ``corrected(estimate, ratio)`` multiplies by a ratio averaged over the window (Richardson 1972)."""
+    """Return a non-negative spectrum that the window turns into `measured`, found in some rounds.
+    ``through_window(estimate)`` applies the window; ``corrected(estimate, ratio)`` multiplies the estimate by
+    a ratio averaged over the window (Richardson 1972)."""
     for _ in range(rounds):
         estimate = corrected(estimate, measured / through_window(estimate))
     return estimate
@@ -93,7 +97,8 @@ Sums = dict[str, np.ndarray]  # transforms of half a segment, or sums over segme
 
 
 def segment_length(record: Record, segment: int | None) -> int:
-    """Return the length of a segment, by default `choose_segment`; CubeError if it is not possible."""
+    """Return the number of steps in a segment, by default `choose_segment`; CubeError if it does not fit.
+    It must be even, 8 at least, and no longer than the longest run."""
     longest = record.longest
     if segment is None:
         segment = choose_segment(longest)
@@ -115,7 +120,8 @@ def _values(part: object) -> np.ndarray:
 def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
-    """Return slices to read for steps a to b of a run, the missing steps in them, and the place of a to b."""
+    """Return slices to read for the steps a to b of a run: these, and around gaps some more on either side.
+    The other results are a mask of missing steps in what is read, and the slice of a to b in it."""
     bridged = np.asarray(record.bridged, int)
     reach = FILL_MARGIN if record.holes or bridged.size else 0
     lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
@@ -159,7 +165,7 @@ class Reader:
 
 
 def cut_chains(record: Record, segment: int) -> list[list[Link]]:
-    """Divide the segments of a record into chains of up to `CHAIN_LENGTH`, each a list of half segments."""
+    """Return the segments of a record as chains of up to `CHAIN_LENGTH`, each a list of half segments."""
     half = segment // 2
     out = []
     for run in record.runs:
@@ -177,9 +183,9 @@ def sum_chain(
     accumulate: Callable[[Sums, Sums, Sums, int], None],
     links: Sequence[Link],
 ) -> Sums:
-    """Read a chain half segment by half segment, and return the sums over its segments.
+    """Read a chain half segment by half segment, and return the sums over its segments, by name.
     ``transform(blocks, link, memory)`` may overwrite the arrays in ``memory``; ``accumulate(sums, first,
-    second, begin)`` adds the segment of two halves that begins at step ``begin``."""
+    second, begin)`` adds the segment with two transformed halves that begins at step ``begin``."""
     sums: Sums = {}
     previous: Sums = {}
     oldest: Sums = {}
@@ -212,7 +218,7 @@ def sum_segments(
 
 
 def add_sums(a: Sums, b: Sums) -> Sums:
-    """Add two dictionaries of arrays by name; a name in only one of them is kept as it is."""
+    """Return two dictionaries of arrays added by name; a name in only one of them is kept as it is."""
     return {**a, **b} | {name: a[name] + b[name] for name in a if name in b}
 
 
@@ -233,7 +239,7 @@ def some_nodes(block: np.ndarray) -> np.ndarray:
 
 def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
     """Return the Hann-windowed spatial transform (cells, steps) of a block (steps, ny, nx).
-    The cells are those of ky x (kx >= 0), flattened."""
+    The cells are those of ky x (kx >= 0), flattened. `out`, a former result, is overwritten."""
     steps, ny, nx = block.shape
     window = spatial_window(ny, nx).astype(block.dtype)
     shape = steps, ny, nx // 2 + 1
@@ -255,7 +261,7 @@ def slabs(cells: int) -> Iterator[slice]:
 
 
 class TimeTransform:
-    """Transforms segments in time, for a slab of cells at once, in arrays that are allocated once.
+    """Transforms segments in time, for up to 128 cells at once, in arrays that are allocated once.
     `half` is the number of steps in half a segment, and `names` the number of results to hold at a time."""
 
     def __init__(self, half: int, dtype: np.dtype, names: int = 1) -> None:
@@ -302,7 +308,7 @@ def k_coords(k: Array) -> Coordinates:
 
 @dataclass(frozen=True)
 class Welch:
-    """Welch's estimator for one record: it derives segments, frequencies, rings of |k| and factors."""
+    """Welch's estimator for one record: its segments, frequencies, rings of |k|, and factors to densities."""
 
     record: Record  # rectangle and runs
     segment: int  # steps of a segment
@@ -336,7 +342,7 @@ class Welch:
 
     @cached_property
     def table(self) -> rings.Rings:
-        """Rings of the k plane of the rectangle of nodes."""
+        """Rings of |k| of the rectangle of nodes."""
         record = self.record
         return rings.rings(*record.shape, record.dy, record.dx)
 
@@ -347,7 +353,7 @@ class Welch:
 
     @property
     def duration(self) -> float:
-        """Effective duration of the record, s: (int w)^2 / int w^2 of the sum w of the squared windows."""
+        """Effective duration of the record, s: (int w)^2 / int w^2 of the sum w of squared windows."""
         return self.segment * self.record.dt * 18 * self.count**2 / (38 * self.count - 3)
 
     @property
@@ -380,7 +386,7 @@ class Welch:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Mask (omega, k), False in the main lobe of the mean, at Nyquist, and in rings that reach beyond."""
+        """Mask (omega, k), False in the main lobe of the mean, at Nyquist and in rings beyond Nyquist."""
         nyquist = np.pi / max(self.record.dy, self.record.dx)
         table = self.table
         in_k = (table.k > MAIN_LOBE * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
@@ -394,10 +400,10 @@ class Welch:
         return energy > MIN_OVER_FILLED * white
 
     def freedom(self, sums: Array) -> Array:
-        """Return the degrees of freedom (rings, lines) of E(k, omega), from sums of `kernels.ring_powers`.
+        """Return the degrees of freedom (rings, lines) of E(k, omega), from `sums` of `kernels.ring_powers`.
         They are nu (sum A_c E_c)^2 / sum A_c E_c^2 (rho^2 A)_c over the cells c of a ring, with the degrees
-        of freedom nu of a cell, area shares A, energies E and squared correlations rho^2; E_c^2 is <|F_c|^4>
-        / 2."""
+        of freedom nu of a cell, area fractions A, energies E and squared correlations rho^2; E_c^2 is
+        <|F_c|^4> / 2."""
         power, square = sums[0], sums[1]
         filled = power > 0
         spread = np.divide(self.count * square, power**2, out=np.zeros_like(power), where=filled)
@@ -434,7 +440,7 @@ class Welch:
 
 
 def with_stated(given: Any) -> Any:
-    """Return a field or cube with `path_frames` and water properties as coordinates instead of attributes."""
+    """Return a field or cube with `path_frames` and water properties as coordinates, not attributes."""
     if not isinstance(given, xr.DataArray | xr.Dataset):
         return given
     out = given.copy(deep=False)
@@ -451,7 +457,7 @@ def with_stated(given: Any) -> Any:
 
 def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
     """Return `path_frames`: 1 for instantaneous velocities, 2 for displacements, else 4, 6 or 7 for paths.
-    It is 2 if the fields do not state it. Raises CubeError if they state different ones."""
+    It is 2 if the fields do not give it. Raises CubeError if two fields give different meanings."""
     fields = with_stated(fields)
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
@@ -461,7 +467,7 @@ def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
 
 
 def frames_of_meaning(*stated: str) -> int:
-    """Return `path_frames` for "displacement" (2) or "instantaneous" (1); else raise CubeError."""
+    """Return `path_frames` for "displacement" (2) or "instantaneous" (1); otherwise raise CubeError."""
     if len(stated) > 1 or stated[0] not in MEANINGS:
         raise CubeError(
             f"the velocities are stated to be {' and '.join(stated)}: state one of {', '.join(MEANINGS)}"
@@ -470,12 +476,12 @@ def frames_of_meaning(*stated: str) -> int:
 
 
 def states_velocity(cube: xr.Dataset) -> bool:
-    """Whether a cube states if its velocities are displacements or instantaneous, or comes from a run."""
+    """Return whether a cube says if its velocities are displacements or instantaneous, or was measured."""
     of = [cube, *(cube[name] for name in ("u", "v", "w"))]
     return "path_frames" in cube.coords or any({VELOCITY, "recipe"} & {*one.attrs} for one in of)
 
 
 def inner(lines: int) -> NDArray[np.bool_]:
-    """Return a mask (lines,) of the lines of E(omega) above the main lobe of the mean and below Nyquist."""
+    """Return a mask (lines,) of E(omega): true above the main lobe of the mean and below Nyquist."""
     index = np.arange(lines)
     return (index >= MAIN_LOBE) & (index < lines - 1)
