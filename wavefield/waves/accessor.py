@@ -44,8 +44,8 @@ class WavesAccessor:
 
 def _method(name: str, field: str | None) -> Callable[..., Any]:
     """Return a method of the accessor that calls the function `name` of `wavefield.waves`.
-    The function receives the cube if `field` is None, otherwise one variable of the cube: the one that the
-    caller names, by default `field`."""
+    If `field` is None, the function receives the cube, otherwise one variable, by default that called
+    `field`."""
 
     def call_with_cube(self: WavesAccessor, *args: Any, **options: Any) -> Any:
         return getattr(waves, name)(self._cube, *args, **options)

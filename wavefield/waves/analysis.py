@@ -154,8 +154,7 @@ def analyze(
     progress : callable, optional
         Called with the number of parts done and the number of all parts.
     each : callable, optional
-        ``each(work, items)`` yields ``work(item)`` for every item, in order; by default two threads compute
-        them.
+        ``each(work, items)`` yields ``work(item)`` for every item, in order; by default in two threads.
     probes : Dataset, optional
         Wave probes, from `wavefield.read_probes`. Without them, there are no spectra of probes.
     segment : int, optional
@@ -166,8 +165,7 @@ def analyze(
         Amplitude gains of the measurement, ``gain_z`` and ``gain_w`` (direction, k), for which spectra are
         corrected where they exceed 0.5; by default those in the cube. False: no correction.
     current : tuple of float, optional
-        Velocity of the water along x and y, m/s, used if none can be fitted to the dispersion relation; by
-        default zero.
+        Velocity of the water along x and y, m/s, if no fit to the dispersion relation succeeds; default 0.
 
     Returns
     -------
@@ -185,9 +183,8 @@ def analyze(
 
     Examples
     --------
-    >>> import wavefield as wf
-    >>> found = wf.waves.analyze(wf.open_cube("sea.zarr"))
-    >>> found["spectra"].E.dims
+    >>> from wavefield import open_cube, waves
+    >>> waves.analyze(open_cube("sea.zarr"))["spectra"].E.dims
     ('quantity', 'omega', 'k')
     """
     if not isinstance(cube, xr.Dataset):
@@ -284,8 +281,7 @@ FEW_SEGMENTS = 7  # the default segment is a quarter of the record and gives sev
 
 
 def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
-    """Return sentences for the user on the part of the cube that was used, its gaps and its length.
-    An infinite or NaN `depth` counts as unknown."""
+    """Return sentences for the user on the part of the cube that was used, its gaps and its length."""
     record, count, sizes = welch.record, welch.count, cube.sizes
     used = record.steps_in_runs(welch.segment)
     out = []

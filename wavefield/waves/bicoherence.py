@@ -1,10 +1,9 @@
 """Bicoherence and tricoherence of time series: phase coupling of three and of four waves.
 
 Bicoherence is |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>) with omega3 = omega1 + omega2. Tricoherence is the
-largest |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3 Z4|^2>) of all omega3, omega4 with omega3 + omega4 = omega1
-+ omega2. Zi is the Fourier coefficient at omega_i and <> the mean over samples; a sample is one segment at
-one point. The argument `z` is an array (n, samples) of coefficients at the n lowest frequencies, called
-lines.
+largest |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3 Z4|^2>) for any omega3 + omega4 = omega1 + omega2. Zi is the
+coefficient at omega_i and <> the mean over samples; a sample is one segment at one point. The argument `z` is
+an array (n, samples) of Fourier coefficients at the n lowest frequencies, called lines.
 """
 
 import numpy as np
@@ -24,7 +23,7 @@ SHARED = 0.1
 
 def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
     """Return the lowest `count` Fourier coefficients of the segments of `series` (time, points).
-    The result is (count, segments * points). Segments have `segment` steps, overlap by half and have a Hann
+    The result is (count, segments * points); segments of `segment` steps overlap by half, under a Hann
     window."""
     half = segment // 2
     window = hann(segment).astype(series.dtype)[:, None]
@@ -103,8 +102,7 @@ SAMPLES = 4000  # largest number of segments times points, for the cost; further
 
 def _level_of_one(surrogates: list[np.ndarray]) -> np.ndarray:
     """Return the bicoherence that each pair of frequencies exceeds by chance in 5 % of cases, (n, n).
-    The `surrogates` are bicoherences of random phases; their mean square is 1 / N for N independent
-    samples."""
+    The `surrogates`, bicoherences of random phases, have the mean square 1 / N for N independent samples."""
     mean = np.mean(np.square(surrogates), axis=0)
     return np.asarray(np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9))))
 

@@ -22,9 +22,8 @@ LEVELS = np.arange(0.0, 5.01, 0.25)  # in standard deviations; one wave in 270,0
 
 
 def extremes(series: Array) -> tuple[Array, Array, Array]:
-    """Return three arrays (waves,) for a series (time,): first step, crest height and trough depth.
-    A wave lies between two zero up-crossings. A parabola through three steps refines crest and trough; the
-    depth is positive."""
+    """Return three arrays (waves,) for a series (time,): first step, crest height and trough depth (> 0).
+    A wave lies between two zero up-crossings. A parabola through three steps refines crest and trough."""
     start = np.flatnonzero((series[:-1] < 0) & (series[1:] >= 0))
     if start.size < 2:
         return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)

@@ -106,9 +106,8 @@ def with_mean_current(cube: xr.Dataset, welch: Welch) -> Welch:
 
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
-    """Return the `cross_spectra` `ring` with E divided by the power gain of the measurement, and a mask.
-    The mask ``valid_k`` (quantity, k) is true where the gain is known and large enough. The quantities rise
-    and nl are not corrected, and their mask is false."""
+    """Return the `cross_spectra` `ring` with E corrected for the gain of the measurement, and ``valid_k``.
+    This mask (quantity, k) is true where the gain is known and high; rise and nl are not corrected."""
     names = ring["quantity"].values
     factor, valid = np.ones((names.size, ring.sizes["k"])), np.zeros((names.size, ring.sizes["k"]), bool)
     for i, name in enumerate(names):
@@ -322,8 +321,7 @@ def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
 
 
 def _plane_coherences(mean: dict[str, Array]) -> Array:
-    """Return the moduli of the coherence of the terms w, nl and tot, (3, cells).
-    `mean` is the result of `_plane_sums` divided by the number of steps."""
+    """Return the moduli of the coherence of w, nl and tot, (3, cells), from means of `_plane_sums`."""
     power = mean["power"] - np.abs(mean["z_t"]) ** 2
     total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))

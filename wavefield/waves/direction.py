@@ -1,7 +1,6 @@
 """Directional spectrum of the free waves, with uncertainties.
 
-The argument `water` is the depth (m) and the surface tension over density (m3/s2); `current` is along x and
-y, in m/s. A line is one frequency of a spectrum.
+A line is a frequency of a spectrum. `water` is depth (m) and surface tension over density (m3/s2).
 """
 
 from collections.abc import Sequence
@@ -59,9 +58,8 @@ def packet_correlation(
 
 def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
     """Return the covariances of the energies of sectors of direction, (sectors, sectors).
-    `shares` (sectors, cells) is the fraction of each cell of the k plane in each sector. Each cell of
-    `energy` (lines, ky, kx) has `dof` degrees of freedom. Hann windows correlate neighbouring cells and
-    lines."""
+    `shares` (sectors, cells) is the fraction of each cell in each sector. Each cell of `energy` (lines, ky,
+    kx) has `dof` degrees of freedom. Hann windows correlate neighbouring cells and lines."""
     lines, ny, nx = energy.shape
     reach = min(2, lines - 1)
     over_lines = ndimage.convolve1d(energy, _HANN[2 - reach : 3 + reach], axis=0, mode="constant")
@@ -90,9 +88,8 @@ def sector_freedom(levels: Array, covariances: Array) -> Array:
 
 
 def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[float, float]:
-    """Return the standard uncertainties of the first Fourier harmonic of the directional spectrum D(theta).
-    They are those of its components along and across the mean direction. `levels` (energies) and `theta` are
-    (sectors,); `covariances` are those of the levels."""
+    """Return the standard uncertainties of the first Fourier harmonic of D(theta), along and across it.
+    `levels` are the energies at `theta`, both (sectors,); `covariances` are those of the levels."""
     total = max(levels.sum(), 1e-300)
     turned = np.exp(1j * theta)
     first = (levels * turned).sum() / total
@@ -108,8 +105,7 @@ LOWEST_HZ = 0.5  # chosen: below it, the elevation integrated from w is mostly d
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
     """Return E(k, omega + k . U), the spectrum in the frame of water with the current U, (lines, ky, kx).
-    `lines` are the indices of the wanted frequencies. Values are zero where omega + k . U is above the
-    highest frequency of `density`."""
+    `lines` are the indices of the wanted frequencies. Values above the highest frequency are zero."""
     values = density.values
     if not any(current):
         return np.asarray(values[lines], float)
@@ -245,8 +241,7 @@ def elevation_density(
     density: xr.DataArray, current: tuple[float, float], frames: int, water: tuple[float, float]
 ) -> xr.DataArray:
     """Return E(omega, ky, kx) of the elevation, from the spectrum `density` of w; zero at omega = 0.
-    w is integrated at the frequency in the frame of the water, omega - k . U, with the `current` U. `frames`
-    is the number of frames of each velocity."""
+    w, from `frames` frames, is integrated at the frequency omega - k . U in the frame of the water."""
     omega, ky, kx = np.meshgrid(
         *(density[name] for name in ("omega", "ky", "kx")), indexing="ij", sparse=True
     )
@@ -399,8 +394,7 @@ def _label(
 def direction_group(
     density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch
 ) -> xr.Dataset | Noted:
-    """Return the group `direction` of `analyze` from E(omega, ky, kx) of w, at the frequencies it resolves.
-    If the current is not known, ``efth`` is left out with a note."""
+    """Return the group `direction` of `analyze` from E(omega, ky, kx) of w; no ``efth`` without current."""
     water = depth, gamma
     elevation = elevation_density(density, used.velocity, welch.frames, water)
     frequency = resolved_frequencies(density, *water)

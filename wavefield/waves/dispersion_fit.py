@@ -40,9 +40,8 @@ BAND_WIDTH = 0.5  # Hz, chosen: width of the bands in which the points are compa
 
 
 def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Array], Array]:
-    """Return a function that maps a current (2,), m/s, to the errors of omega on it, in standard deviations.
-    An error is that of the relation less that of the point. The uncertainty of k becomes one of omega by the
-    slope of the relation on the current `around`."""
+    """Return a function of the current (2,), m/s: model less measured omega of each point, over its std.
+    The slope of the relation on the current `around` converts the uncertainty of k to that of omega."""
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
     free, speed = dispersion(points.k, *water), group_velocity(points.k, *water)
     slope = speed + (around[0] * kx + around[1] * ky) / points.k
@@ -206,8 +205,7 @@ def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> Relation
 def _check_fit(
     spectrum: PlaneSpectrum, points: RelationPoints, fit: Array, limits: tuple[float, float]
 ) -> float:
-    """Return the `contrast` of the relation on the current `fit`; raise CubeError if it is no relation.
-    That is, if the points are more than 10 % of k away from it, or the contrast is that of noise."""
+    """Return the `contrast` of the fitted relation; CubeError if it is low or points are off the relation."""
     between = _between(limits)
     best = f"{fit[0]:.2f}, {fit[1]:.2f} m/s"
     # windows spread a wave over more than a cell of the k plane: for long waves, that is not an error
@@ -242,8 +240,7 @@ def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
 
 def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float) -> xr.Dataset:
     """Return the result of `fit_dispersion` with ``omega_theory`` (k), the relation in still water, rad/s.
-    If the fit fails, the attribute ``refused`` holds the message of the error, and the result of the fit is
-    absent."""
+    If the fit fails, the attribute ``refused`` holds the message of the error in place of the result."""
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
         out = fit_dispersion(density, depth, gamma=gamma)

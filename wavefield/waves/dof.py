@@ -108,9 +108,9 @@ def hann_autocorrelation(lag: Array) -> Array:
 
 def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
     """Return the variance of a mean over segments relative to independent segments, for wave packets.
-    It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K = `count` segments of `duration` T, s. c is the
-    overlap of the windows, Hann in time and over the `lengths` (m) of the field along x and y, for packets
-    that move at `velocity` (two arrays, m/s)."""
+    It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K = `count` segments of `duration` T. c is the
+    overlap of Hann windows, in time and over `lengths` (m) along x and y, for packets that move at `velocity`
+    (two, m/s)."""
     s = np.linspace(-1, 1, 41)  # more points change nothing
     in_time = hann_autocorrelation(s)
     out, alone = np.ones_like(velocity[0]), np.ones(())
@@ -177,8 +177,8 @@ def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) ->
 
 def independent_nodes(lines: Array, number: Array) -> Array:
     """Return the number of independent waves at each frequency, (tr C)^2 / |C|^2, without bias, (n,).
-    C is the covariance between nodes, from `lines` (segments, nodes, n); `number` is that of independent
-    segments."""
+    C is the covariance between nodes of `lines` (segments, nodes, n), of which `number` segments are
+    independent."""
     total = (np.abs(lines) ** 2).sum(axis=(0, 1))
     covariance = np.einsum("spn,sqn->npq", lines.conj(), lines, optimize=True)
     rank = total**2 / np.maximum((np.abs(covariance) ** 2).sum(axis=(1, 2)), 1e-300)
@@ -197,9 +197,8 @@ def of_products(dof: Mapping[str, Array], power: Array, dof_omega: Array) -> dic
 
 def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, Array]:
     """Return the degrees of freedom of E(k, omega), E(omega) and E(k), under "both", "omega" and "k".
-    Correlated segments reduce them. They are at most twice the product of the numbers of independent segments
-    and of independent waves at 16 nodes, since the level of a very narrow peak hardly varies between
-    segments."""
+    Correlated segments reduce them. They are at most 2 n m for n independent segments and m independent waves
+    at 16 nodes, since the level of a very narrow peak hardly varies between segments."""
     power, cells = sums[name][0], welch.freedom(sums[name])
     independent = cells * overlap_factor(welch.count)
     correlation, of_sums = correlation_of(power, welch)
@@ -234,11 +233,11 @@ def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
 def independent_samples(
     sums: Mapping[str, Any], first: str, second: str, dof_k: tuple[Array, Array], welch: Welch
 ) -> dict[str, Array]:
-    """Return the number N of independent samples of a cross spectrum, "both", and of its sum over k, "k".
-    For unrelated fields, the mean of |S_ab|^2 is E_a E_b / N. N follows from the mean of |A|^2 |B|^2, which
-    in a cell is (1 + gamma^2) times the product of the mean powers of A and B, with their coherence gamma.
-    Segments of the nonlinear term nl, which does not follow the dispersion relation, are correlated by their
-    overlap only."""
+    """Return the number N of independent samples of a cross spectrum, "both", and of its sum over omega, "k".
+    For unrelated fields, the mean of |S_ab|^2 is E_a E_b / N. N follows from the mean of |A|^2 |B|^2, in a
+    cell (1 + gamma^2) times the product of the mean powers of A and B, with the coherence gamma. Segments of
+    the nonlinear term nl, which does not follow the dispersion relation, are correlated by their overlap
+    only."""
     product = sums[first][0] * sums[second][0]
     power, there = np.sqrt(product), product > 0
     real, imaginary = sums[f"{first}*{second}"]

@@ -75,9 +75,8 @@ def _white(noise: Array, use: Array) -> Array:
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    """Return how far a spectrum `signal` (omega,) is valid without a gap from its peak on.
-    The results are the frequency of the end, Hz, and the number of decades by which the spectrum has fallen
-    there."""
+    """Return the frequency, Hz, to which a spectrum is valid without a gap from its peak, and its decades.
+    `valid` and `signal` are (omega,); the decades are those by which the signal falls from peak to end."""
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
@@ -257,8 +256,8 @@ def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
 ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
     """Return energies, masks of trusted cells and uncertainties by gains: four arrays (omega, k) of each.
-    They are for the four `METHODS`, in that order. With `undo`, noise is subtracted, gains are corrected, and
-    cells that are not trusted are 0."""
+    The order is that of `METHODS`. With `undo`, noise is subtracted, gains are corrected, and other cells are
+    0."""
     best, remaining, std_best = _best(spectra, noise, gains)
     with np.errstate(divide="ignore", invalid="ignore"):
         signals = (
@@ -286,9 +285,8 @@ def _freedom(
     ring: xr.Dataset, energies: Sequence[Array], remaining: Array, gain_variances: Array, tiny: float
 ) -> Array:
     """Return the degrees of freedom of E(omega) by the four `METHODS`, (methods, omega).
-    They are those of the fields z and w, lowered by subtracted noise, of which `remaining` (omega,) is that
-    of the combination, and by `gain_variances` (methods, omega), the relative variances of energies by
-    uncertain gains."""
+    Those of z and w are lowered by subtracted noise, of which `remaining` (omega,) is that of the
+    combination, and by `gain_variances` (methods, omega), the relative variances of energies by the gains."""
     z, w = (ring["dof_omega"].sel(quantity=name).clip(min=1).values for name in NAMES)
     dof = np.stack([z, w, np.sqrt(z * w), np.sqrt(z * w)])
     zz, ww, zw, best = energies

@@ -1,10 +1,9 @@
 """Gains (transfer functions) of the measurement, and their correction in spectra.
 
-Averages and differences over time steps have gains that depend on b = omega dt / 2. Matching windows average
-over space; their amplitude gain is a Dataset over (direction, k) with ``gain_z``, ``gain_u``, ``gain_v`` and
-``gain_w``, NaN where it is unknown. The measurement predicts it and stores it in the cube; users can give
-their own. The argument `frames` is the number of frames from which a velocity was computed, 1 for
-instantaneous.
+Averages and differences over time steps have gains that depend on b = omega dt / 2, and on `frames`, the
+number of frames per velocity. Matching windows average over space; their amplitude gain is a Dataset over
+(direction, k) with ``gain_z``, ``gain_u``, ``gain_v``, ``gain_w``, NaN where it is unknown. The measurement
+predicts it and stores it in the cube; users can give their own.
 """
 
 from pathlib import Path
@@ -73,9 +72,8 @@ def read_gain(source: str | Path | xr.Dataset) -> xr.Dataset:
 def gain_of(
     cube: xr.Dataset, requested: str | Path | xr.Dataset | Literal[False] | None = None
 ) -> xr.Dataset | None:
-    """Return the gain that the user requested, else the gain stored in the cube, else None.
-    `requested` is a Dataset or its path, or False for no gain. A stored gain that is unknown or below one
-    half at the smallest k counts as missing."""
+    """Return the gain requested by the user, else the gain stored in the cube, else None.
+    False requests no gain. A stored gain below one half, or NaN, at the smallest k counts as missing."""
     if requested is False:
         return None
     if requested is not None:
@@ -95,9 +93,8 @@ def is_predicted(gain: xr.Dataset) -> bool:
 
 
 def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the factor that corrects the power of the field `name` for a gain, and a mask of where it does.
-    Both are (k,). Where the amplitude gain is below one half, the factor is 1 and the mask false. Without a
-    gain of this field, all factors are 1 and the mask is true."""
+    """Return the factor that corrects the power of field `name` for a gain, and a mask: true where known.
+    Both are (k,). Where the amplitude gain is below one half, the factor is 1 and the mask false."""
     if f"gain_{name}" not in gain:
         return np.ones_like(k), np.ones(k.shape, bool)
     power = ring_gain(gain, name, name, k)
@@ -124,8 +121,7 @@ def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
 
 def ring_gain(gain: xr.Dataset, one: str, other: str, k: Array) -> Array:
     """Return the gain of the power or cross spectrum of two fields at `k`, (k,), averaged over directions.
-    It is the product of the amplitude gains of the fields `one` and `other`, and 0 above the largest known
-    k."""
+    Fields are `one` and `other`, such as "z" and "w". The gain is 0 above the largest known k."""
     product = gain[f"gain_{one}"] * gain[f"gain_{other}"] * gain.get("weight", 1.0 / gain.sizes["direction"])
     product = product.sum("direction", skipna=False)
     known = np.isfinite(product.values)

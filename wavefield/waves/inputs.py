@@ -27,10 +27,9 @@ Convert = Callable[[Any, str], tuple[Any, dict[str, Any]]]
 
 
 def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
-    """Return a decorator that replaces the first argument of an estimator by a converted one.
-    ``convert(argument, name)``, with the name of the estimator, returns the new argument and a dictionary of
-    other parameters that the argument holds, such as the depth; these are used where the caller gives
-    none."""
+    """Return a decorator that replaces the first argument of an estimator by the first result of `convert`.
+    ``convert(argument, name)``, with the estimator's name, also returns parameters that the argument holds,
+    such as the depth, as a dictionary. They are used where the caller gives none."""
 
     def decorate(estimator: Estimator) -> Estimator:
         signature = inspect.signature(estimator)
@@ -140,8 +139,8 @@ def cube(
     Returns
     -------
     Dataset
-        The fields over (time, y, x) with units (m, m/s); ``path_frames``, the number of frames per velocity (1
-        for instantaneous velocities, 2 for displacements); attributes ``velocity``, ``frame_rate`` (Hz) and
+        The fields over (time, y, x), m and m/s; ``path_frames``, the number of frames per velocity (1 for
+        instantaneous velocities, 2 for displacements); attributes ``velocity``, ``frame_rate`` (Hz) and
         ``water_depth`` (m). The fields are lazy if those given are.
 
     Raises
@@ -213,8 +212,7 @@ def _seconds(name: str, field: object) -> xr.DataArray:
 
 def _rate(z: xr.DataArray) -> xr.DataArray:
     """Return the time derivative of z, m/s, over (time, y, x); NaN at nodes that are never measured.
-    It is that of a spline through all steps of a node. CubeError is raised if a node lacks some steps
-    only."""
+    Raises CubeError if a node is measured at some steps only."""
     t = z["time"].values.astype(float)
 
     def derive(values: np.ndarray) -> Any:

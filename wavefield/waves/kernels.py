@@ -1,10 +1,10 @@
 """Compiled inner loops of the spectral estimators, on plain arrays, with results in ``out``.
 
 A spatial transform is stored by steps, with one value for each cell ky x (kx >= 0). `join` turns it into
-series in time, one for each cell; their Fourier transforms f, called lines, are (cells, n). The loops
-vectorise: they run along contiguous memory, treat real and imaginary parts separately, have no branches, and
-use unsigned indices where they run backwards. ``start``, ``ring``, ``weight`` and ``spread`` are from
-`Rings`.
+series in time, one for each cell; their Fourier transforms, called lines, are (cells, n). ``start``,
+``ring``, ``weight`` and ``spread`` are those of `Rings`. The loops vectorise: they run along contiguous
+memory, treat real and imaginary parts separately, have no branches, and use unsigned indices where they run
+backwards.
 """
 
 from typing import Any
@@ -75,8 +75,7 @@ def _add_row(row: Array, factor: float, out: Array) -> None:
 @_loose
 def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Array, out: Array) -> None:
     """Add powers of Fourier lines f (cells, n), summed over rings, to ``out`` (2, rings, n // 2 + 1).
-    ``out[0]`` gets |f|^2 times ``weight`` and ``out[1]`` |f|^4 times ``spread``, with both signs of omega
-    together."""
+    ``out`` gets |f|^2 with ``weight`` and |f|^4 with ``spread``; both signs of omega are added together."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n, f.real.dtype)
@@ -102,9 +101,8 @@ def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Arra
 
 @_rounded
 def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Array, out: Array) -> None:
-    """Add the cross products conj(f) g, summed over rings, to ``out`` (2, rings, n // 2 + 1).
-    f and g are Fourier lines (cells, n). ``out`` gets real and imaginary parts, with the sign of waves exp(i
-    (k . x - omega t))."""
+    """Add cross products conj(f) g of Fourier lines (cells, n) in rings to ``out`` (2, rings, n // 2 + 1).
+    ``out`` gets real and imaginary parts, with the sign of waves exp(i (k . x - omega t))."""
     cells, n = f.shape
     half = n // 2
     real = np.empty(n, f.real.dtype)
@@ -172,8 +170,7 @@ def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) 
 
 @_fast
 def _along(z: Array, factor: float, out: Array) -> None:
-    """Write ``factor``, 1 / dx, times the differences along a line z (n,) into ``out``.
-    Central differences of sixth order, lower at the ends."""
+    """Write the derivative of a line into ``out``: central differences of sixth order, lower at the ends."""
     n = z.size
     if n > 6:
         a, b, c, d, e, f = z[4:], z[2:], z[5:], z[1:], z[6:], z
@@ -235,8 +232,8 @@ def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
 @_loose
 def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: Array, counts: Array) -> None:
     """Add the powers 1 to 4 of values (steps, nodes) minus ``mean`` to ``sums`` (4, nodes).
-    The values are also counted in ``counts``, a histogram with ``per_unit`` bins per unit, whose second bin
-    begins at ``low``; its first and last bin hold what is outside."""
+    ``counts`` is a histogram of the values: ``per_unit`` bins per unit, the second of which begins at
+    ``low``."""
     last = counts.size - 1
     for r in range(values.shape[0]):
         for i in range(values.shape[1]):

@@ -136,8 +136,7 @@ def kinematics_at(snapshot: xr.Dataset) -> xr.Dataset:
 def balance(
     fields: Mapping[str, Array], i: int, dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, float]:
-    """Return the rms over all nodes, at step `i` of the fields, of w, z_t and derived terms, by name.
-    The terms are the nonlinear term, on a `current` in m/s, the residual, vorticity and divergence."""
+    """Return the rms over the nodes, at step `i`, of w, z_t, nonlinear term, residual, ..., by name."""
     step = {name: fields[name][i].astype(float) for name in FIELDS}
     parts = terms(step, dy, dx, current)
     values = {
@@ -152,8 +151,7 @@ def balance(
 
 
 def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
-    """Return the part of the group `kinematics` with the rms of each term at some steps.
-    `rows` holds a result of `balance` for each of them, with its ``step``."""
+    """Return the part of the group `kinematics` with the rms of terms at some steps, from `balance`."""
     time = cube["time"].values.astype(float)
     steps = np.array([row["step"] for row in rows], int)
     names = [name for name in rows[0] if name != "step"] if rows else []
@@ -180,8 +178,7 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Return the ratio sqrt(E_nl / E_w) over k and over omega, with its 95 % interval, for `kinematics`.
-    `spectra` is the group of that name; nl is the nonlinear term."""
+    """Return the ratio sqrt(E_nl / E_w) over k and over omega, with its 95 % interval, for `kinematics`."""
     out: dict[str, Any] = {}
     w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))
     for axis in ("k", "omega"):

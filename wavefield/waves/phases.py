@@ -87,8 +87,7 @@ def phase_average(cube: xr.Dataset, period: float, *, phases: int = 24) -> xr.Da
 
 
 def phase_weights(angle: Array, phases: int) -> Array:
-    """Return the weight of each step in each phase, (steps, phases): linear, in the two nearest phases.
-    `angle` (steps,) is the phase of the steps, rad."""
+    """Return the weight of each step in each phase, (steps, phases): linear, in the two nearest phases."""
     place = angle / (2 * np.pi) * phases
     low = np.floor(place)
     out = np.zeros((angle.size, phases))

@@ -86,9 +86,8 @@ def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
 
 
 def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
-    """Return times and elevations of a probe, resampled to the time step `dt` of the cube, s.
-    `values` at times `clock` are averaged over a step if the probe samples faster. None if fewer than 40
-    samples remain."""
+    """Return the times and elevations of a probe, resampled to the time step `dt` of the cube, s.
+    Values are averaged over a step if the probe samples faster. None if fewer than 40 samples remain."""
     good = np.isfinite(values) & np.isfinite(clock)
     if good.sum() < MIN_SAMPLES:
         return None
@@ -101,8 +100,8 @@ def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
 
 
 def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: float) -> ProbeFit | None:
-    """Return the fit of a probe, with `values` at times `clock`; None if it overlaps the cube too little.
-    `here` is the elevation of the cube at the position of the probe, at the times `time`."""
+    """Return the fit of a probe, `values` at times `clock`, to the elevation `here` of the cube at `time`.
+    None if they overlap too little."""
     lags, found = correlation(here, values, int(MIN_OVERLAP * time.size))
     if not lags.size:
         return None
@@ -186,8 +185,7 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
 
 
 def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[NDArray[np.bool_], float]:
-    """Return a mask of the probe samples within `span`, s, and their sampling rate, Hz.
-    Raises CubeError if they last less than `duration`, s, or have unequal steps."""
+    """Return a mask of the probe samples within `span`, s, and their rate, Hz; CubeError if they are few."""
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(

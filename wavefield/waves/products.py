@@ -91,8 +91,7 @@ def compute_ready(
     waiting: list[WaveProduct], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
 ) -> dict[str, Sequence[str]]:
     """Compute all products in `waiting` whose inputs are or become known; return their notes by name.
-    The products are removed from `waiting`, and their values are added to `values`. `each(work, items)`
-    computes costly ones on workers."""
+    It moves their values to `values`. `each(work, items)` computes costly products on workers."""
     notes: dict[str, Sequence[str]] = {}
     while ready := [product for product in waiting if all(name in values for name in product.inputs)]:
         # quick products first, so that as many as possible of the others can run in parallel
@@ -108,9 +107,8 @@ def compute_ready(
 
 
 def _computed(job: tuple[Callable[..., Any], Sequence[object], str]) -> Noted:
-    """Return the value and notes of a job: a function, its inputs and the first words of a note.
-    If the function raises CubeError, the value is None and the note gives the reason; but with empty first
-    words, the error is raised."""
+    """Return the value and notes of a product from its function, its inputs, and the first words of a note.
+    If the function raises CubeError, the note gives the reason; without first words, the error is raised."""
     compute, inputs, without = job
     with np.errstate(all="ignore"):
         try:

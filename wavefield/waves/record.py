@@ -43,9 +43,8 @@ def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
 
 
 def fill_error(block: Array) -> float:
-    """Return the standard deviation of the error of `fill` at the middle step of a block.
-    Measured nodes half a field away from the holes are removed, filled and compared. NaN without such
-    nodes."""
+    """Return the standard deviation of the error of `fill` at the middle step of a block; NaN if unknown.
+    Measured nodes half a field away from the holes are removed, filled and compared."""
     holes = ~np.isfinite(block)
     ny, nx = holes.shape[1:]
     elsewhere = np.roll(holes, (ny // 2, nx // 2), (1, 2))  # at all steps, since a hole may last
@@ -258,8 +257,7 @@ def _finite(pieces: list[object]) -> np.ndarray | None:
 
 
 def _runs(valid_steps: np.ndarray) -> tuple[list[tuple[int, int]], list[int]]:
-    """Return the runs of valid steps, as (first, past the last), and the missing steps inside them.
-    Runs may contain gaps of up to two steps. `valid_steps` is a mask (steps,)."""
+    """Return the runs of valid steps, as (first, past the last), and the missing steps inside them."""
     edges = np.flatnonzero(np.diff(np.r_[False, valid_steps, False].astype(int)))
     runs: list[tuple[int, int]] = []
     bridged: list[int] = []
@@ -353,8 +351,7 @@ def _rectangle(
     valid_nodes: _ValidNodes, valid_steps: np.ndarray, open_water: np.ndarray
 ) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return the largest rectangle of nodes that can be used, as ranges (first, past the last) of y and x.
-    Its nodes are in `open_water`, measured at half of the valid steps, and outside holes at nine tenths of
-    them."""
+    Its nodes are in `open_water`, measured at half of the valid steps, and outside holes at nine tenths."""
     times = np.zeros((2, *valid_nodes.shape), int)  # number of steps measured, and outside of holes
     for steps, there in valid_nodes:
         valid = valid_steps[steps]

@@ -63,9 +63,8 @@ def _hann_overlap(n: int) -> sparse.csr_array:
 
 @lru_cache(maxsize=8)
 def rings(ny: int, nx: int, dy: float, dx: float) -> Rings:
-    """Return rings as wide as a cell that cover the k plane of a rectangle of nodes, corners included.
-    Nodes are `dy` and `dx` apart, m. Every cell is split into 8 x 8 parts; a part belongs to the ring that
-    contains its centre."""
+    """Return the rings, as wide as a cell, of the k plane of ny x nx nodes, which are dy and dx (m) apart.
+    The corners are included. Each of 8 x 8 parts of a cell belongs to the ring that contains its centre."""
     cell_y, cell_x = 2 * np.pi / (ny * dy), 2 * np.pi / (nx * dx)
     dk = max(cell_y, cell_x)
     part = (np.arange(SUPERSAMPLING) + 0.5) / SUPERSAMPLING - 0.5

@@ -1,7 +1,4 @@
-"""Smoothing over time: the free waves that best fit the fields of a few successive steps.
-
-A window is a block of successive steps; the fields at its middle step are smoothed.
-"""
+"""Smoothing over time: the free waves that best fit the fields of a few successive steps, a window."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -130,9 +127,8 @@ class PlaneWaves:
         return 0.5 * np.concatenate([upper, lower])
 
     def rows(self, nodes: NDArray[np.intp], time: int) -> Array:
-        """Return the coefficients of the unknowns in six quantities at some nodes, (6, nodes, 2 n).
-        The quantities are z, u, v, rate of rise, z_x and z_y. `nodes` are indices in the flattened rectangle,
-        and `time` is the index of a time."""
+        """Return the response of z, u, v, rise, z_x and z_y to the n unknowns at some nodes, (6, nodes, 2 n).
+        `nodes` are indices in the flattened rectangle, and `time` is the index of a time."""
         real, imaginary = np.split(self.basis[nodes], 2, axis=1)
         response = np.concatenate([self.response[:, time], self._slope_response(time)])
         each = (real + 1j * imaginary)[:, self.vector] * response[:, None]
@@ -195,8 +191,8 @@ class Learned:
 def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array) -> Learned:
     """Estimate spectrum and noise from sample windows (fields, times, ny, nx), 0 outside `mask`.
     In each round of expectation maximisation, the variance of a ring becomes the mean square of its
-    amplitudes plus their posterior variance. ``variance`` (fields,) is that of the noise by the cube's
-    standard uncertainties."""
+    amplitudes plus their posterior variance. ``variance`` (fields,) is that of the noise stored in the
+    cube."""
     products = waves.products(mask)
     # the noise that resembles waves is estimated on an orthogonal basis of all plane waves
     basis = waves.basis[mask.ravel()]
@@ -344,8 +340,7 @@ class _Smoother:
 
     def _tile(self, number: int, fields: Array, variance: Array, there: Array, own: Array) -> Array:
         """Return z, u, v, w and their variances, (8, ny, nx), of rectangle `number` at the middle step.
-        The arguments are results of `parts` in the rectangle, and `own`, z, u, v, w of the middle step
-        itself."""
+        `fields`, `variance` and `there` are from `parts`; `own` is z, u, v, w of the middle step."""
         waves, learned, middle = self.waves, self.learned, self.steps
         posterior, covariance = self.fit_of(number)
         mask = self.mask[self.tiles[number]]

@@ -120,8 +120,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
 
 
 def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dataset:
-    """Return E(omega, ky, kx), given as `values`, as a Dataset with its 95 % interval and attributes.
-    `name` and `units` are those of the field."""
+    """Return E(omega, ky, kx), `values`, of a field with this name and these units, and its interval."""
     low, high = interval(welch.dof)
     parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}
     out = xr.Dataset(parts, coords=omega_coords(welch.omega) | welch.plane, attrs=welch.attrs)
@@ -202,8 +201,7 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
 
 
 def _attrs_of_sum(given: xr.DataArray | xr.Dataset, axis: str) -> dict[str, Any]:
-    """Return the attributes (name and units) of E(omega) or E(k); `axis` is "omega" or "k".
-    `given` is the E(k, omega) that is summed."""
+    """Return the attributes, name and units, of E(omega) or E(k); `given` is the E(k, omega) it is from."""
     if "field" not in given.attrs:  # several quantities of an analysis
         return TABLE[f"spectra/E_{axis}"].attrs
     return TABLE[f"{axis}/E"].of(given.attrs["field"], density_units(given.attrs["field_units"], axis))

@@ -1,7 +1,4 @@
-"""Sums over Welch segments of the powers and cross products of fields, from which all spectra are made.
-
-Quantities are fields of a cube, or nl = (u - U) . grad z and rise = z_t + U . grad z with the mean current U.
-"""
+"""Sums over Welch segments of the powers and cross products of fields, from which all spectra are made."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -52,8 +49,7 @@ def sources(names: Sequence[str]) -> list[str]:
 
 
 def advected(fields: Mapping[str, Array], welch: Welch) -> dict[str, Array]:
-    """Return nl = (u - U) . grad z and rise = z_t + U . grad z, (steps, ny, nx), by name.
-    `fields` holds z, z_t, u, v (steps, ny, nx); U is the current of `welch`."""
+    """Return nl = (u - U) . grad z and rise = z_t + U . grad z, (steps, ny, nx), for the current U."""
     z, z_t, u, v = (fields[name] for name in ADVECTED)
     z_y, z_x = np.empty_like(z), np.empty_like(z)
     kernels.gradient(z, welch.record.dy, welch.record.dx, z_y, z_x)
@@ -73,9 +69,9 @@ def transforms(
     fields: dict[str, Array], requested: Requested, welch: Welch, memory: Mapping[str, Array] | None = None
 ) -> dict[str, Array]:
     """Return the spatial transforms (cells, steps) of the quantities in half a segment, by name.
-    "points <name>" (nodes, steps) are values at 16 nodes. "nodes" (pairs, steps) has those of all nodes, two
-    in a complex number. The function empties `fields`, to free memory, and overwrites the transforms in
-    `memory`."""
+    "points <name>" (nodes, steps) holds values at 16 nodes, and "nodes" (pairs, steps) those at all nodes,
+    two in each complex number. `fields` is emptied, to free memory, and the transforms in `memory` are
+    overwritten."""
     out, memory, names = {}, memory or {}, requested.names
     if {"nl", "rise"} & {*names}:
         fields |= advected(fields, welch)
@@ -112,8 +108,7 @@ def add_segment(
     begin: int,
 ) -> None:
     """Add the powers and cross products of one segment, and its Fourier lines at 16 nodes, to `sums`.
-    `first` and `second` are the results of `transforms` for the halves of the segment; `begin` is its first
-    step."""
+    `first` and `second` are the results of `transforms` for its halves, and `begin` is its first step."""
     if not sums:
         sums |= empty_sums(first[requested.names[0]], requested, welch.table)
     table, dt, names = welch.table, welch.record.dt, requested.names
@@ -146,8 +141,7 @@ def add_segment(
 
 
 def _powers_of_nodes(first: Array, second: Array) -> Array:
-    """Return the power of a segment at omega >= 0, (n // 2 + 1,), summed over nodes.
-    Its halves (pairs, steps) are "nodes" of `transforms`."""
+    """Return the power of a segment, omega >= 0, (n // 2 + 1,), from its halves "nodes" (pairs, steps)."""
     half = first.shape[1]
     transform, sums = TimeTransform(half, first.dtype), np.zeros((CELLS, 2 * half))
     for slab in slabs(first.shape[0]):

@@ -1,7 +1,4 @@
-"""Welch's method in time, y and x: segments, Hann windows, transforms, sums over segments and intervals.
-
-A run is a range of steps without long gaps; segments are cut from runs and overlap by half.
-"""
+"""Welch's method in time, y and x: segments, Hann windows, transforms, sums over segments and intervals."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -81,9 +78,8 @@ def richardson_lucy(
     corrected: Callable[[np.ndarray, np.ndarray], np.ndarray],
     rounds: int,
 ) -> np.ndarray:
-    """Return a non-negative spectrum that the window turns into `measured`, found in some rounds.
-    ``through_window(estimate)`` applies the window; ``corrected(estimate, ratio)`` multiplies the estimate by
-    a ratio averaged over the window (Richardson 1972)."""
+    """Deconvolve a spectrum: return a non-negative one that the window turns into `measured`.
+    ``corrected(estimate, ratio)`` multiplies by a ratio averaged over the window (Richardson 1972)."""
     for _ in range(rounds):
         estimate = corrected(estimate, measured / through_window(estimate))
     return estimate
@@ -97,8 +93,7 @@ Sums = dict[str, np.ndarray]  # transforms of half a segment, or sums over segme
 
 
 def segment_length(record: Record, segment: int | None) -> int:
-    """Return the number of steps in a segment, by default `choose_segment`; CubeError if it does not fit.
-    It must be even, 8 at least, and no longer than the longest run."""
+    """Return the steps of a segment, by default `choose_segment`; CubeError if odd, below 8 or too long."""
     longest = record.longest
     if segment is None:
         segment = choose_segment(longest)
@@ -120,8 +115,7 @@ def _values(part: object) -> np.ndarray:
 def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
-    """Return slices to read for the steps a to b of a run: these, and around gaps some more on either side.
-    The other results are a mask of missing steps in what is read, and the slice of a to b in it."""
+    """Return slices to read for steps a to b of a run, the missing steps in them, and the place of a to b."""
     bridged = np.asarray(record.bridged, int)
     reach = FILL_MARGIN if record.holes or bridged.size else 0
     lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
