@@ -182,7 +182,7 @@ def directions(
     current : tuple of float, optional
         Velocity of the water along x and y, m/s; by default it is fitted to the dispersion relation.
     segment : int, optional
-        Steps of a Welch segment, even, for a cube or field; by default about a quarter of the longest run.
+        Steps of a Welch segment, even, for a cube or field; by default a quarter of the longest run of steps.
 
     Returns
     -------

@@ -256,8 +256,8 @@ def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
 ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
     """Return energies, masks of trusted cells and uncertainties by gains: four arrays (omega, k) of each.
-    The order is that of `METHODS`. With `undo`, noise is subtracted, gains are corrected, and other cells are
-    0."""
+    They are in the order of `METHODS`. With `undo`, noise is subtracted, gains are corrected, and other cells
+    are 0."""
     best, remaining, std_best = _best(spectra, noise, gains)
     with np.errstate(divide="ignore", invalid="ignore"):
         signals = (

@@ -104,8 +104,7 @@ def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np
 
 def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
     """Return `gain` with ``weight`` (direction, k), the fractions of the wave energy in a ring of |k|.
-    They follow from the spectrum `plane_w` of w over (ky, kx). Gains of oblique cameras depend on
-    direction."""
+    They are from the spectrum `plane_w` of w over (ky, kx). Gains of oblique cameras depend on direction."""
     ky, kx = np.meshgrid(plane_w["ky"].values, plane_w["kx"].values, indexing="ij")
     sectors, step = gain.sizes["direction"], float(gain["k"][1] - gain["k"][0])
     cell = min(float(np.diff(plane_w[name][:2])[0]) for name in ("ky", "kx"))

@@ -106,8 +106,8 @@ Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]
 LONGEST_BRIDGE = 2  # steps; longer gaps split the record (across two, 3.3 Hz turns by half a period at 20 Hz)
 STEPS_PER_READ = 256  # steps in memory at once; five fields of 100 x 130 nodes take 67 MB
 HOLE_SIDE = 3  # nodes; smaller gaps (outliers) are isolated and filled well
-# Fraction of the steps in which a node of the rectangle, and of the nodes at which a valid step, is outside
-# of holes. Chosen: fewer holes shrink the rectangle, more of them raise the noise floor.
+# A node of the rectangle is outside holes in this fraction of the steps, and a valid step has this fraction
+# of its nodes outside holes. Chosen: with a larger one the rectangle shrinks, with a smaller one noise rises.
 MIN_OUTSIDE = 0.9
 MIN_MEASURED = 0.5  # fraction of values, per node and per step, that must be measured; the rest is filled
 MIN_NODES = 8  # nodes along each side of the rectangle; chosen: twice the main lobe of a Hann window

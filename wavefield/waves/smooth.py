@@ -282,8 +282,8 @@ class _Smoother:
 
     def study(self, windows: list[Array]) -> None:
         """Learn spectrum and noise from sample windows (9, times, ny, nx), as in `parts`; they set `learned`.
-        Raises CubeError if less than a quarter of the nodes is measured throughout the better half of the
-        windows."""
+        Raises CubeError if in the better half of the windows less than a quarter of the nodes is always
+        measured."""
         parts = [self.parts(window) for window in windows]
         shares = [there.mean() for _, _, there in parts]
         parts = [parts[i] for i in np.argsort(shares, kind="stable")[len(parts) // 2 :]]

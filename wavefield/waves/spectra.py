@@ -94,7 +94,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     Raises
     ------
     CubeError
-        If the record is shorter than a segment, its axes are uneven or no rectangle is fully measured.
+        If the record is shorter than a segment, its steps are unequal or fewer than 8 x 8 nodes are measured.
 
     Notes
     -----
@@ -155,14 +155,15 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
     -------
     Dataset
         Over (omega, k): ``E``, in the field's units squared per rad/m and rad/s; its degrees of freedom
-        ``dof``; ``low`` and ``high``, factors from E to the limits of its 95 % interval; ``valid``. Over
-        k: ``coverage``, the fraction of each ring that the grid samples, and ``cells``, the number of its
-        cells. If no node is missing, ``E_nodes`` (omega), the mean of the spectra of all nodes.
+        ``dof``; ``low`` and ``high``, factors from E to the limits of its 95 % interval; ``valid``, a mask of
+        reliable values. ``dof_omega`` and ``dof_k``, those of E(omega) and E(k). Over k: ``coverage``, the
+        fraction of each ring of |k| that the grid samples, and ``cells``, the independent cells in it.
+        If no node is missing, ``E_nodes`` (omega), the mean of the spectra of all nodes.
 
     Raises
     ------
     CubeError
-        If the record is shorter than a segment, its axes are uneven or no rectangle is fully measured.
+        If the record is shorter than a segment, its steps are unequal or fewer than 8 x 8 nodes are measured.
 
     Notes
     -----
@@ -219,13 +220,13 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        Over omega: ``E``, in the field's units squared per rad/s; its degrees of freedom ``dof``; ``low``
-        and ``high``, factors from E to the limits of its 95 % interval; ``valid``.
+        Over omega: ``E``, in the field's units squared per rad/s; its degrees of freedom ``dof``; ``low`` and
+        ``high``, factors from E to the limits of its 95 % interval; ``valid``, true where E is reliable.
 
     Raises
     ------
     CubeError
-        If the input is neither a field nor a result of `komega`.
+        If the input is neither a field nor a result of `komega`, or the field is too short or too small.
 
     Notes
     -----
@@ -269,7 +270,7 @@ def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     Raises
     ------
     CubeError
-        If the input is neither a field nor a result of `komega`.
+        If the input is neither a field nor a result of `komega`, or the field is too short or too small.
 
     Examples
     --------

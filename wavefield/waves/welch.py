@@ -212,7 +212,7 @@ def sum_segments(
 
 
 def add_sums(a: Sums, b: Sums) -> Sums:
-    """Return two dictionaries of arrays added by name; a name in only one of them is kept as it is."""
+    """Return the sum of two dictionaries of arrays, by name; a name in only one of them is kept as it is."""
     return {**a, **b} | {name: a[name] + b[name] for name in a if name in b}
 
 
