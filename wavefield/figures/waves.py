@@ -213,7 +213,7 @@ def dispersion_ridge(dispersion: xr.Dataset) -> Figure:
     finish(left, CYCLES, HERTZ, xlim=(0, reach), ylim=(0, 1.1 * highest))
     right.axhline(0, color="0.3", linewidth=0.8)
     right.plot(dispersion.band_frequency.values, 100 * dispersion.ridge_error.values, marker="o", **LINES[1])
-    finish(right, HERTZ, "measured ω against theory (%)")
+    finish(right, HERTZ, "measured k against theory (%)")
     return figure
 
 

@@ -29,7 +29,7 @@ def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
     path = Path(path)
     refuse_pipe(path, FrameError)
     if path.suffix.lower() == ".im7":
-        return read_buffer(path, page or None)
+        return read_buffer(path, page)
     try:
         with path.open("rb") as stream:
             return _read(stream, str(path), page)
