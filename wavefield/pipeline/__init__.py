@@ -1,4 +1,4 @@
-"""From a series of frames to a cube: learn the record, measure all steps, assess them, analyse waves."""
+"""From images to a cube and its waves: learn the noise, measure all steps, assess them, analyse waves."""
 
 from wavefield.lazy_names import lazy_names
 

@@ -1,4 +1,4 @@
-"""The waves of a cube in a store, in this process or on workers, and its smoothed fields."""
+"""Compute the waves of a cube, in this process or on workers, and write the smoothed fields of a cube."""
 
 import os
 import pickle
@@ -57,40 +57,43 @@ def analyze(
     Parameters
     ----------
     cube : path or Dataset
-        A cube's store, or z, z_t, u, v, w over (time, y, x), m and m/s.
+        Store of a cube, or a Dataset with the elevation z (m), its rate of change z_t (m/s) and the velocity
+        u, v, w (m/s) over (time, y, x).
     out : path, optional
         Zarr store to write. An existing store is replaced once the new one is complete.
     progress : callable, optional
-        Called with the number of parts done and of all parts.
+        Called with the number of parts that are done and the number of all parts.
     each : callable, optional
-        ``each(work, items)`` applies ``work`` to every item on workers and yields the results in order, for a
-        cube in a store; see `wavefield.analyze_on_workers`.
+        A function that replaces ``map``, if the cube is in a store: ``each(work, items)`` applies ``work`` to
+        every item on workers, and yields the results in the order of the items. See
+        `wavefield.analyze_on_workers`. By default this process does the work.
     **options
         Any of the following:
 
         ``probes`` : Dataset
             Wave probes (`wavefield.read_probes`).
         ``segment`` : int
-            Steps of a Welch segment; by default chosen from the record.
+            Number of steps of a Welch segment; by default chosen from the length of the record.
         ``depth`` : float
             Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep.
         ``gain`` : path, Dataset or False
-            Response of the measurement to waves, undone in the spectra where it is half or more; shorter
-            waves are not valid. By default the response stored with the cube; False leaves the spectra as
-            they were measured.
+            Response of the measurement to waves. The spectra are corrected for it where it is half or more;
+            shorter waves are not valid. By default the response stored with the cube; False leaves the
+            spectra as they were measured.
         ``current`` : tuple of float
             Velocity of the water along x and y, m/s, used if the spectra do not allow a fit of the current.
 
     Returns
     -------
     DataTree
-        One group for each subject; its variables are listed in the documentation's page on formats.
+        One group for each subject, such as "spectra" and "statistics". The documentation's page on formats
+        lists the variables.
 
     Raises
     ------
     CubeError
-        If the cube lacks a variable, is shorter than a segment, has uneven steps or no full rectangle, or if
-        the probes were not recording while the cameras were.
+        If the cube lacks a variable, is shorter than a segment, or has uneven time steps; if no rectangle of
+        nodes is fully measured; or if the probes did not record while the cameras did.
     StoreError
         If the cube or the gain cannot be read or the store cannot be written.
 
@@ -131,28 +134,32 @@ def analyze(
 def analyze_on_workers(
     cube: str | Path, out: str | Path, workflow: str | Path | Workflow, **options: Any
 ) -> "xr.DataTree":
-    """Compute the waves of a cube on the workers of a workflow, bit for bit as `wavefield.analyze` does.
+    """Compute the waves of a cube on several workers; the result equals that of `wavefield.analyze` exactly.
 
     Parameters
     ----------
-    cube, out : path
-        A cube's store, and the Zarr store to write, on a disk that all workers see.
+    cube : path
+        Store of the cube, on a disk that all workers see.
+    out : path
+        Zarr store to write, on a disk that all workers see.
     workflow : path or Workflow
-        Where to work, such as ``wf.Workflow(cluster="local", workers=4)``.
+        Number and kind of the workers, such as ``wf.Workflow(cluster="local", workers=4)``.
     **options
-        Further keywords of `wavefield.analyze`: probes, segment, depth and others.
+        Keywords of `wavefield.analyze`: progress, probes, segment, depth, gain, current.
 
     Returns
     -------
     DataTree
-        As `wavefield.analyze` gives it; errors are those of `analyze`, too.
+        The result of `wavefield.analyze`.
 
     Raises
     ------
+    CubeError, StoreError
+        As `wavefield.analyze` does.
     ExperimentError
-        If the cluster cannot be started or its scheduler not be reached.
+        If the workers cannot be started, do not see the disk, or their scheduler cannot be reached.
     RunStopped
-        If it was interrupted, by Ctrl-C, a signal or the workflow's time limit.
+        If Ctrl-C, a signal or the workflow's time limit has stopped the analysis. Nothing is written then.
     """
     if not isinstance(workflow, Workflow):
         workflow = Workflow.load(workflow)
@@ -176,7 +183,8 @@ def analyze_on_workers(
 
 def _through_disk(work: Callable[[Any], Any], folder: Path, numbered: tuple[int, Path]) -> Path:
     """Read a pickled item from a file, apply `work` to it, and return the path of the pickled result.
-    Items, (number, file), and results are too large for messages between processes."""
+    `numbered` is the number of the item and its file. Files are used because items and results are too large
+    for messages between processes."""
     try:
         item = pickle.loads(numbered[1].read_bytes())
     except FileNotFoundError:
@@ -200,7 +208,7 @@ def _in_order(
     map_unordered: MapUnordered, folder: Path, work: Callable[[Any], object], items: Sequence[object]
 ) -> Iterator[Any]:
     """Apply `work` to the items on workers, and yield the results in the order of the items.
-    Items and results are files in `folder`; a result that comes early waits there."""
+    Items and results pass through files in `folder`, in which results that are ready early are kept."""
     waiting: dict[int, Path] = {}
     requested = 0
     if not items:
@@ -221,8 +229,9 @@ def _in_order(
 def write_smoothed(
     store: Path, output: Path | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Path:
-    """Write the smoothed fields of a cube (`wavefield.smooth`) to a Zarr store, by default next to the cube.
-    Returns its path. `progress` is called with the number of steps written and of all steps."""
+    """Write the smoothed fields of a cube (`wavefield.smooth`) to a Zarr store, and return its path.
+    The default of `output` is next to the cube, ``store``. `progress` is called with the number of steps
+    written and the number of all steps."""
     import zarr
 
     from wavefield.atomic_write import Product, atomic, check_writable

@@ -1,6 +1,6 @@
-"""Assess a cube: verdict, errors of each pair of cameras, terms of the standard uncertainties.
+"""Assess a cube: remarks on its faults, errors of each pair of cameras, terms of standard uncertainties.
 
-A step is the interval between two consecutive frames.
+All remarks on a cube together are its verdict. A step is the interval between two consecutive frames.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -41,9 +41,9 @@ MAX_SAMPLED = 12  # steps of a cube that are assessed after its run
 
 
 def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> cameras.CameraFaults:
-    """Compare the images of the cameras at a few frames of the record, and return their faults.
-    ``quality`` (n, ny, nx) is the variable of the cube at some steps. If all cameras measured most of their
-    nodes, a camera whose patches match no other's is not reported."""
+    """Compare the images of the cameras at a few frames of the record, and return faults of the cameras.
+    ``quality`` (n, ny, nx) is the variable of the cube at some steps. If all cameras together measured most
+    nodes there, no remark says that a camera matches no other."""
     count = prepared.steps + 1
     matcher = cameras.PatchMatcher(prepared.read_uncovered, prepared.rig, prepared.grid)
     frames = evenly_spaced(count, SAMPLE_STEPS)
@@ -59,7 +59,9 @@ def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> camer
 def measure_synchrony(
     prepared: PreparedRun, cube: xr.Dataset, frames: Sequence[int], first: int = 0
 ) -> camera_motion.Synchrony:
-    """Measure the delays between the cameras at some frames; ``cube`` begins at the step ``first``."""
+    """Measure the delays between the cameras at some frames, from the images and the velocities of a cube.
+    ``frames`` are indices in the record. ``cube`` holds u, v, w and quality of the steps before and after
+    these frames; its first step is the step ``first`` of the record."""
     rate, read = prepared.frame_rate, prepared.read_uncovered
 
     def displacement(k: int) -> NDArray[np.floating]:
@@ -78,8 +80,8 @@ def measure_synchrony(
 
 
 def clear_discontinuous_steps(prepared: PreparedRun, status: Status) -> None:
-    """Set steps of a complete cube to NaN that use frames from both sides of a lost, doubled or late frame.
-    A second call changes nothing."""
+    """Set the steps of a stored cube to NaN that use frames from both sides of a lost, doubled or late frame.
+    An incomplete cube, and one measured in a light sheet, is left as it is. A second call changes nothing."""
     if not status.complete or prepared.in_light_sheet:
         return
     cube = open_cube(status.store)
@@ -91,7 +93,7 @@ def clear_discontinuous_steps(prepared: PreparedRun, status: Status) -> None:
 
 
 def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
-    """Return the verdict on a cube after its run: all remarks on the measurement."""
+    """Return the verdict on the cube of a run: remarks on cameras, frames, probes, fields and short waves."""
     experiment, series = prepared.experiment, prepared.series
     cube = open_cube(status.store)
     sample = cube[[*record.COMPARED, "eps_piv", "quality"]]
@@ -118,13 +120,14 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
 
 
 def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tuple[float, float]:
-    """Return the times of the first and the last frame of the record, s."""
+    """Return the times of the first and the last frame of the record, s; ``series`` is by camera."""
     times = experiment.frame_times(next(iter(series.values())))
     return float(times[0]), float(times[-1])
 
 
 def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
-    """Yield remarks on waves that are too fast for the frame rate or too short for the images."""
+    """Yield remarks on waves that are too fast for the frame rate or too short for the images.
+    ``sample`` holds w and quality of some steps."""
     record, measured = prepared.record, sample.quality.values & int(Quality.MEASURED) != 0
     if record is None or not measured.any():
         return
@@ -159,15 +162,16 @@ def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
 
 
 def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
-    """Return the fraction of the nodes in view that were measured, with ``by_all`` only by all cameras.
-    It is 0 if no node is in view."""
+    """Return the fraction of the nodes in view that were measured, with ``by_all`` by all cameras together.
+    ``quality`` is the variable of the cube, of any shape. The fraction is 0 if no node is in view."""
     visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
     marks = np.uint16(Quality.MEASURED | (Quality.FEWER_CAMERAS if by_all else 0))
     return float(((quality[visible] & marks) == Quality.MEASURED).mean()) if visible.any() else 0.0
 
 
 def _sampled(steps: int) -> list[int]:
-    """Return the steps that are matched again after a run: a tenth of all, but at least 4 and at most 12."""
+    """Return the steps that are matched again after a run of ``steps``, evenly spaced.
+    Their number is a tenth of all, but at least 4 and at most 12."""
     return evenly_spaced(steps, min(MAX_SAMPLED, max(SAMPLE_STEPS, steps // 10)))
 
 
@@ -175,9 +179,10 @@ _BIN_EDGES = np.linspace(-5, 5, 101)  # errors in units of their rms
 
 
 def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
-    """Measure some steps with each pair of cameras alone, and return errors; None if no step is measured.
+    """Measure some steps with each pair of cameras alone, and return the errors of all these steps together.
     Returns ``rms`` and ``beyond`` (fraction of outliers), both (error,), and ``density`` (error, bin), the
-    probability density of errors in units of their rms."""
+    probability density of each error in units of its rms. Coordinates tell the quantity, cameras and units of
+    an error. None if no step can be measured, without a learned record, and in a light sheet."""
     geometry, model = prepared.geometry, prepared.model
     if prepared.in_light_sheet or model is None:  # cameras are not matched with each other
         return None
@@ -220,7 +225,8 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
 
 
 def _errors(found: Diagnosis) -> Iterator[tuple[str, str, str, NDArray[np.float64]]]:
-    """Yield the quantity, cameras, units and values of every error between cameras at one step."""
+    """Yield every error between cameras at one step: quantity ("eps_y"), cameras, units and values.
+    The values have any shape, NaN where not measured."""
     for pair, values in found.eps_y.items():
         yield "eps_y", joined(pair), "m", values
         yield "sigma_z", joined(pair), "m", np.array([found.z_std[pair]])
@@ -236,7 +242,7 @@ def _errors(found: Diagnosis) -> Iterator[tuple[str, str, str, NDArray[np.float6
 
 
 def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
-    """Return the probability density of values / rms, (bins,); 0 if the rms is 0 or NaN."""
+    """Return the probability density of values / rms in the bins `_BIN_EDGES`; all 0 if rms is 0 or NaN."""
     if not rms > 0:
         return np.zeros(_BIN_EDGES.size - 1)
     counts, _ = np.histogram(values / rms, _BIN_EDGES)
@@ -244,7 +250,8 @@ def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
 
 
 def store_pair_statistics(prepared: PreparedRun, path: Path) -> None:
-    """Write the result of `pair_statistics` into the store of a complete cube, unless it is there."""
+    """Write the result of `pair_statistics` into the store ``path`` of a complete cube.
+    Nothing is done if the store already has the result for its present values."""
     group = open_group(path)
     state = state_of(group)
     stored = read_pair_statistics(path)
@@ -259,29 +266,34 @@ def uncertainty_terms(
     step: int | None = None,
     rig: str | Path | Rig | None = None,
 ) -> xr.Dataset:
-    """Return the terms of the standard uncertainties of one step; their squares add to the variance.
+    """Return the terms of the standard uncertainties of z, u, v and w at one step.
+
+    Terms are standard uncertainties, too: the sum of their squares is the variance.
 
     Parameters
     ----------
     experiment : path or Experiment
-        Experiment file, or the experiment.
+        Experiment file, or the experiment. Its images are measured; a cube is not needed.
     step : int, optional
-        Step of the record, from 0; by default the middle one.
+        Index of the step in the record, from 0; by default the middle step.
     rig : path or Rig, optional
         Used instead of the rig that the experiment names.
 
     Returns
     -------
     Dataset, (term, y, x)
-        z in m; u, v, w in m/s. The coordinate ``term`` is noise (image noise; for u, v, w increased where
-        displacements of the cameras disagree), prior (waves that the prior damps), frames (waves too fast
-        for the frame rate), ripples (waves shorter than a block) or setup (epipolar error, height of beads,
-        light sheet). NaN where not measured.
+        z in m; u, v, w in m/s; NaN where not measured. The coordinate ``term`` has the values
+
+        - ``noise``: image noise; for u, v, w larger where displacements seen by the cameras disagree;
+        - ``prior``: waves that the prior of the estimator damps;
+        - ``frames``: waves too fast for the frame rate;
+        - ``ripples``: waves shorter than an interrogation block;
+        - ``setup``: epipolar error, height of beads, light sheet.
 
     Raises
     ------
     WavefieldError
-        If there is no such step, or if none of the sample frames can be measured.
+        If the record has no such step, none of its sample frames can be measured, or an input is wrong.
 
     Examples
     --------

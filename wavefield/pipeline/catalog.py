@@ -1,8 +1,8 @@
-"""Intake catalogs, which open the frames, cubes and waves of many runs by name.
+"""Intake catalogs, which open the images, cubes and waves of many experiments by name.
 
-A run is an experiment of a catalog. A recipe is everything that determines the values of a cube: settings,
-rig, grid, images, algorithm. A catalog ``tank.yaml`` has a folder ``tank`` next to it with one folder per
-run::
+An experiment in a catalog is called a run. The recipe of a cube is the record of all inputs that determine
+its values: settings, rig, grid, images, algorithm. A catalog ``tank.yaml`` has a folder ``tank`` next to it
+with one folder per run::
 
     tank.yaml
     tank/coriolis-07/experiment.yaml        the experiment, or a link to it
@@ -10,8 +10,8 @@ run::
     tank/coriolis-07/1a2b3c4d/waves.zarr
     tank/coriolis-07/latest                 link to the recipe that was run last
 
-A changed recipe therefore does not replace an earlier cube. The entries of `intake.open_catalog` open these
-files, with the parameters ``run`` and ``recipe``.
+A run with changed inputs therefore does not replace an earlier cube. The entries of a catalog that
+`intake.open_catalog` returns open these files; their parameters ``run`` and ``recipe`` select the folder.
 """
 
 import errno
@@ -42,19 +42,37 @@ _PARAMETERS = ("run", "recipe", "location")
 
 
 def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = None) -> str:
-    """Add an experiment to a catalog as a run; creates the catalog if there is none.
+    """Add an experiment to a catalog as a run; the catalog is created if it does not exist.
+
+    A cube ``cube.zarr`` next to the experiment file is added, too.
 
     Parameters
     ----------
-    catalog, experiment : path
-        Intake catalog, YAML, and experiment file.
+    catalog : path
+        Intake catalog, a YAML file.
+    experiment : path
+        Experiment file.
     name : str, optional
-        Name of the run, which is returned; by default that of the experiment.
+        Name of the run; by default the name of the experiment.
+
+    Returns
+    -------
+    str
+        Name of the run.
 
     Raises
     ------
     ExperimentError
         If the experiment file is wrong, or the catalog has another run of that name.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file, catalog = Path(folder) / "experiment.yaml", Path(folder) / "tank.yaml"
+    ...     _ = file.write_text("{name: basin, frame_rate: 20, cameras: {left: 'left/{frame}.tif'}}")
+    ...     catalog_add(catalog, file), catalog_add(catalog, file, "again"), runs_of(catalog)
+    ('basin', 'again', ['basin', 'again'])
     """
     from wavefield.series import Experiment
 
@@ -80,8 +98,9 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
 
 def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> None:
-    """Link the folder of an existing cube into the folder ``place`` of a run, by the hash of its recipe.
-    The hash is added to ``data``, the content of the catalog."""
+    """Link the folder of ``cube``, if there is one, into the folder ``place`` of a run.
+    The name of the link is the hash of the cube's recipe, which is added in place to ``data``, the content of
+    the catalog."""
     from wavefield.store.read import is_cube, open_group
 
     if not is_cube(cube):
@@ -95,7 +114,8 @@ def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> N
 
 
 def _allow(catalog: Path, data: Mapping[str, Any], parameter: str, value: str) -> None:
-    """Add a value to those that a parameter may have, in the content ``data`` of a catalog."""
+    """Add a value to the options of a catalog's parameter, in place in ``data``, the content of the catalog.
+    ExperimentError if the catalog has no such parameter."""
     try:
         options: list[str] = data["user_parameters"][parameter]["options"]
     except (KeyError, TypeError):
@@ -108,7 +128,7 @@ def _allow(catalog: Path, data: Mapping[str, Any], parameter: str, value: str) -
 
 
 def is_catalog(path: str | Path) -> bool:
-    """Whether a YAML file is an intake catalog, with ``entries``, rather than an experiment."""
+    """Return whether a YAML file is an intake catalog (it has a key ``entries``), not an experiment."""
     return "entries" in read_yaml(Path(path))
 
 
@@ -122,28 +142,33 @@ def run_catalog(
     progress: "ProgressFunction | None" = None,
     parameters: Mapping[str, str] | None = None,
 ) -> "list[Status]":
-    """Process runs of a catalog, each into a folder named after its recipe.
+    """Process experiments of a catalog into cubes, one after the other, as `wavefield.run` does.
+
+    Each cube is written to a folder of the catalog that is named after the hash of the cube's recipe (the
+    record of all inputs). A later run with other inputs therefore does not replace it.
 
     Parameters
     ----------
     catalog : path
-        Intake catalog.
+        Intake catalog, a YAML file.
     entries : sequence of str
-        Names of runs; all by default.
+        Names of the runs (experiments) to process; by default all.
     out, rig, workflow, progress : optional
-        As for `wavefield.run`; ``out`` only for a single run.
+        As for `wavefield.run`. ``out`` is only allowed for a single run.
     parameters : mapping, optional
-        ``location``: folder of the images, if they are not next to the experiment file.
+        The only key is ``location``: folder of the images, if they are not next to the experiment file.
 
     Returns
     -------
     list of Status
-        One per run.
+        Numbers of steps done, failed and left, for each run in the order of processing.
 
     Raises
     ------
     ExperimentError
-        If a run or a parameter is unknown.
+        If a run or a parameter is unknown, or as for `wavefield.run`.
+    RigError, StoreError, RunStopped
+        As for `wavefield.run`.
     """
     from wavefield.execution.cluster import open_cluster
     from wavefield.execution.lock import locked
@@ -169,7 +194,8 @@ def run_catalog(
 
 
 def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
-    """Return the names of all runs of a catalog, or the given ``entries`` if the catalog has them."""
+    """Return ``entries`` if all are names of runs of a catalog; by default the names of all runs.
+    ExperimentError if a name is unknown, or the catalog has no runs."""
     path = Path(catalog).absolute()
     options = read_yaml(path).get("user_parameters", {}).get("run", {}).get("options", [])
     unknown = [name for name in entries if name not in options]
@@ -184,7 +210,8 @@ def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
 
 
 def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experiment":
-    """Read the experiment of the run ``chosen["run"]``, with images in ``chosen["location"]`` if given."""
+    """Read the experiment of the run ``chosen["run"]`` of a catalog.
+    ``chosen["location"]`` is the folder of the images; by default that of the experiment file."""
     from wavefield.series import Experiment
 
     place = _folder(catalog, chosen)
@@ -192,13 +219,14 @@ def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experime
 
 
 def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
-    """Return the path of the cube of the run ``chosen["run"]``, which may not exist.
-    ``chosen["recipe"]`` is the hash of a recipe; by default the recipe that was run last."""
+    """Return the path of a cube of the run ``chosen["run"]`` of a catalog; the cube need not exist.
+    ``chosen["recipe"]`` is the first 8 digits of the hash of its recipe; by default the latest cube."""
     return _folder(catalog, chosen) / chosen.get("recipe", "latest") / "cube.zarr"
 
 
 def _folder(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
-    """Return the folder of the run ``chosen["run"]`` in a catalog."""
+    """Return the folder of the run ``chosen["run"]`` of a catalog.
+    ExperimentError if ``chosen`` has keys that are not parameters of a catalog."""
     unknown = [name for name in chosen if name not in _PARAMETERS]
     if unknown:
         raise ExperimentError(f"{catalog} has no parameter {unknown[0]!r}; it has {', '.join(_PARAMETERS)}")
@@ -209,14 +237,16 @@ def _folder(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
 
 
 def _named(progress: "ProgressFunction | None", run: str) -> "ProgressFunction | None":
-    """Return a progress function that puts the name of the run before each sentence; None for None."""
+    """Return a function that calls ``progress`` with the name of the run before each sentence.
+    None if ``progress`` is None."""
     if progress is None:
         return None
     return lambda done, total, sentence: progress(done, total, f"{run}: {sentence}" if sentence else run)
 
 
 def find_cube(catalog: str | Path, run: str | None = None) -> Path:
-    """Return the path of the latest cube of a run; without ``run``, of the only run that has one."""
+    """Return the path of the latest cube of a run; by default of the only run that has a cube.
+    ExperimentError if there is no cube, or if no run is given and several have one."""
     path = Path(catalog).absolute()
     cubes = {name: cube_of(path, {"run": name}) for name in runs_of(path, () if run is None else [run])}
     existing = {name: cube for name, cube in cubes.items() if cube.exists()}
@@ -231,14 +261,14 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
 
 
 def _new_cube(catalog: Path, run: str, recipe: str) -> Path:
-    """Add the hash ``recipe`` to the catalog, and return the path for the cube of a run with it."""
+    """Add the hash ``recipe`` to a catalog, and return the path at which the cube of a run is written."""
     with _editing(catalog) as data:
         _allow(catalog, data, "recipe", recipe)
     return cube_of(catalog, {"run": run, "recipe": recipe})
 
 
 def _link_latest(folder: Path) -> None:
-    """Make the link ``latest``, next to the folder of a recipe, point to this folder."""
+    """Make the link ``latest``, next to the folder of a cube, point to this folder."""
     temporary = folder.with_name(f".latest.{os.getpid()}")
     try:
         temporary.unlink(missing_ok=True)
@@ -257,7 +287,8 @@ def _link_latest(folder: Path) -> None:
 
 @contextmanager
 def _editing(catalog: Path) -> Iterator[dict[str, Any]]:
-    """Context manager: yield the content of a catalog for changes, and write it back with its comments."""
+    """Context manager: yield the content of a catalog, which the block may change, and write it back.
+    The file keeps its comments, and is locked meanwhile. A catalog that does not exist is created."""
     editor = YAML()
     editor.preserve_quotes, editor.width = True, 110
     folder = catalog.with_suffix("")

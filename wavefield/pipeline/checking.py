@@ -1,4 +1,4 @@
-"""`check`: find missing files and faults of an experiment, and estimate the cost of its run."""
+"""`check`: find missing files and faults of an experiment, and estimate time, memory and disk of a run."""
 
 import shutil
 import time
@@ -65,16 +65,17 @@ class Cost:
 
 @dataclass(frozen=True)
 class Trial:
-    """A few steps in the middle of a record that `check` measured, and the cost of the run."""
+    """Results of `check` at n steps in the middle of a record, and the estimated cost of the whole run."""
 
     prepared: PreparedRun  # The run, with spectra and noise learned from the first of these steps
-    start: int  # First of these steps
-    fields: Mapping[str, NDArray[Any]]  # (n, ny, nx): Measured variables
+    start: int  # Index of the first of these steps in the record
+    fields: Mapping[str, NDArray[Any]]  # (n, ny, nx): Measured variables, by name
     cost: Cost  # Estimate for the whole run
 
 
 def measure_some(prepared: PreparedRun) -> Trial:
-    """Measure a few steps in the middle of the record, and estimate the cost of the whole run."""
+    """Measure a few steps in the middle of the record, and estimate the cost of the whole run.
+    ExperimentError if no step has the images of all cameras, or if nothing can be measured."""
     complete = record.complete_steps(prepared.series)
     steps = np.flatnonzero(complete)
     if steps.size == 0:
@@ -121,15 +122,15 @@ def spell_size(count: float) -> str:
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """What `check` found in the frames of one camera; in records of over 24 frames, it reads a sample."""
+    """What `check` found in the frames of one camera; of more than 24 frames, only a sample is read."""
 
     name: str  # Name of the camera
-    frames: int  # Number of frames that have a file
+    frames: int  # Number of frames that exist
     size: tuple[int, int]  # (width, height), px
     dtype: str  # Data type of the images
-    bad: tuple[BadFrames, ...]  # Missing or bad frames: number of the file plus the camera's `offset`
-    beyond: tuple[int, int] = (0, 0)  # Numbers of unused frames before and after the record
-    first: int = 0  # Number of the first frame of the record
+    bad: tuple[BadFrames, ...]  # Missing or bad frames; a frame's number is that of its file plus `offset`
+    beyond: tuple[int, int] = (0, 0)  # How many frames before and after the record are not used
+    first: int = 0  # Number of the first frame of the record, also plus `offset`
 
     def __str__(self) -> str:
         text = f"{self.name}: {self.frames} frames of {self.size[0]} x {self.size[1]} px, {self.dtype}"
@@ -143,12 +144,12 @@ class CameraCheck:
 class Check:
     """Result of `check`.
 
-    What is unknown, because the rig is not usable or a run cannot start, is None or empty.
+    Fields that are unknown, because the rig is not usable or a run cannot start, are None or empty.
     """
 
     experiment: str  # Name of the experiment
-    path: Path  # Its file
-    steps: int  # Number of steps of the whole run
+    path: Path  # Experiment file
+    steps: int  # Number of steps of the whole run (a step is the interval between two frames)
     frame_rate: float  # Hz
     cameras: tuple[CameraCheck, ...]  # Frames of every camera
     rig: tuple[str, ...]  # Names of the rig's cameras
@@ -164,11 +165,12 @@ class Check:
 
     @property
     def exit_status(self) -> int:
-        """Exit status of `wavefield check`: 1 if a run cannot start, 3 with remarks beyond notes, else 0."""
+        """Exit status of `wavefield check`.
+        It is 1 if a run cannot start, 3 if a remark is more than a note, and 0 otherwise."""
         return 1 if self.problems else self.verdict.exit_status if self.verdict else 0
 
     def to_dict(self) -> dict[str, object]:
-        """The result as plain data, which `wavefield check --json` prints."""
+        """Return the result as a dict of plain data, which `wavefield check --json` prints."""
         return asdict(self) | {
             "path": str(self.path),
             "first_frame": self.first_frame,
@@ -178,7 +180,7 @@ class Check:
 
     @property
     def first_frame(self) -> int:
-        """Number of the first frame of the record."""
+        """Number of the first frame of the record: number of its file plus `offset` of the camera."""
         return self.cameras[0].first
 
     @property
@@ -188,7 +190,7 @@ class Check:
 
     @property
     def line(self) -> str:
-        """The verdict in one line of text."""
+        """One line such as "not ready", "sound" or "sound with remarks: cam1 focus"; may be empty."""
         return "not ready" if self.problems else self.verdict.line if self.verdict else ""
 
     def __str__(self) -> str:
@@ -234,7 +236,9 @@ def check(
     rig: str | Path | Rig | None = None,
     workflow: str | Path | Workflow | None = None,
 ) -> Check:
-    """Check an experiment before its run: inspect its frames and measure a few steps. Writes no file.
+    """Check an experiment before its run: read some of its images, and measure a few steps.
+
+    No file is written.
 
     Parameters
     ----------
@@ -243,17 +247,33 @@ def check(
     rig : path or Rig, optional
         Used instead of the rig that the experiment names.
     workflow : path or Workflow, optional
-        Cluster and settings of the planned run.
+        Cluster and settings of the planned run; by default the processes of this machine.
 
     Returns
     -------
     Check
-        Printing it gives a summary; ``problems`` lists the reasons why a run cannot start.
+        Frames, grid, cost and faults; printing it gives a summary. ``problems`` lists the reasons why a run
+        cannot start, such as an error in the rig or the workflow.
 
     Raises
     ------
     ExperimentError
         If the experiment file is wrong, or if a camera has no images.
+
+    Examples
+    --------
+    Three images of one camera, without a rig: a run cannot start.
+
+    >>> import tempfile
+    >>> from wavefield.images import write_image
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "experiment.yaml"
+    ...     _ = file.write_text("{name: basin, frame_rate: 20, cameras: {left: 'left/{frame}.tif'}}")
+    ...     for number in range(3):
+    ...         write_image(Path(folder) / f"left/{number}.tif", np.eye(64, k=number, dtype=np.uint8))
+    ...     found = check(file)
+    >>> found.steps, found.ready, len(found.problems)
+    (2, False, 1)
     """
     experiment, _ = load_files(experiment, None)  # errors of the workflow are reported as a problem below
     series = experiment.open_frames()
@@ -316,14 +336,14 @@ def check(
 
 
 def _synchrony(trial: Trial) -> camera_motion.Synchrony:
-    """Return the delays between cameras, measured at the frames between the trial steps."""
+    """Return the delays between cameras, measured at the frames between the steps of the trial."""
     fields = {name: (("time", "y", "x"), trial.fields[name]) for name in ("u", "v", "w", "quality")}
     cube, first = xr.Dataset(fields), trial.start
     return measure_synchrony(trial.prepared, cube, range(first + 1, first + cube.sizes["time"]), first)
 
 
 def _summary(series: FrameSeries, found: record.FrameInspection) -> CameraCheck:
-    """Return the summary of one camera's frames: their number, size, type and faults."""
+    """Return the number, size, type and faults of one camera's frames, of which ``found`` were inspected."""
     rows, columns = series.shape
     faults = {FrameFault.MISSING: tuple(int(n) for n in series.missing)}
     for fault in record.FAULTS:

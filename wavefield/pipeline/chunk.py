@@ -1,9 +1,9 @@
 """Measure one chunk and write it into the store.
 
 A step is the interval between two consecutive frames. A chunk is a range of n steps that one task measures.
-It reads n + 5 frames: the n + 1 frames of its steps and two more on either side for z at mid-step. One frame
-before these is read as well, to find out whether the first repeats it. Chunks are independent: they can be
-measured in any order, by any process, and again.
+The task reads n + 5 frames: the n + 1 frames of the steps, and two more on either side for z at mid-step. It
+also reads one frame before these, to find out whether the next frame repeats it. Chunks are independent: they
+can be measured in any order, by any process, and again.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,32 +22,32 @@ if TYPE_CHECKING:
 
 
 class Source(Protocol):
-    """Frames of one camera: a `FrameSeries`, or images in an array. An index counts from 0."""
+    """Interface of the frames of one camera: a `FrameSeries`, or images in an array. Indices begin at 0."""
 
     def __len__(self) -> int: ...
 
     def read(self, index: int) -> Frame:
-        """Return a frame: its image, or the fault for which there is none."""
+        """Return a frame, with its image or, if the image is missing or bad, with a fault instead."""
 
     def covered(self, index: int) -> np.ndarray | None:
-        """Return the mask of a frame (row, column), True where masked; None if there is none."""
+        """Return the mask of a frame, (row, column), True where masked; None if the frame has no mask."""
 
     def place(self, index: int) -> str:
-        """Return the name of a frame, for messages."""
+        """Return the name of a frame for messages, such as its camera and number."""
 
     def window(self, start: int, stop: int) -> "Source":
-        """Return the frames from start to stop (excluded)."""
+        """Return the frames start to stop - 1, as far as they exist, as another source."""
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """A range of steps that one task measures, with the frames that it needs."""
+    """A range of steps that one task measures, with the frames that the task needs."""
 
-    start: int  # First step
-    stop: int  # Step after the last
+    start: int  # Index of the first step in the record
+    stop: int  # Index of the last step plus 1
     sources: Mapping[str, Source] = field(repr=False)  # Frames start - 3 to stop + 2 that exist, by camera
     first: int  # Index in the record of the first frame of the sources
-    # (n + 5,): lateness of its frames relative to even times, in frame intervals; None if times are even
+    # (n + 5,): delay of its frames relative to even times, in frame intervals; None if times are even
     departures: np.ndarray | None = field(default=None, repr=False)
 
     @property
@@ -69,7 +69,8 @@ class Measured:
 def make_chunk(
     sources: Mapping[str, Source], start: int, stop: int, departures: np.ndarray | None = None
 ) -> Chunk:
-    """Return the chunk of the steps from start to stop (excluded) of a record."""
+    """Return the chunk of the steps start to stop - 1 of a record; ``sources`` holds its frames by camera.
+    ``departures`` (frames,) are delays of all its frames relative to even times, in frame intervals."""
     first = max(start - AROUND - 1, 0)
     windows = {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}
     if departures is not None:
@@ -78,7 +79,8 @@ def make_chunk(
 
 
 def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> Frame:
-    """Read a frame, and mark it as repeated if it equals ``before``, the image of the frame before it."""
+    """Read a frame, and give it a fault if it equals the frame before it, whose image is ``before``.
+    Without ``before``, that image is read, too."""
     frame = source.read(index)
     if frame.image is not None and index:
         before = source.read(index - 1).image if before is None else before
@@ -89,8 +91,8 @@ def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> 
 
 
 class ChunkFrames(Sequence[np.ndarray | None]):
-    """The images of one camera in a chunk of n steps, read on demand: n + 5 frames, None for bad ones.
-    ``bad`` has the faults and messages of the bad frames that were read, by index in the record."""
+    """The images of one camera in a chunk of n steps, n + 5 frames, read on demand; None for bad frames.
+    ``bad`` holds the fault and a message of each bad frame read so far, by its index in the record."""
 
     _KEEP = 2 * AROUND + 2  # frames that one step uses
 
@@ -130,7 +132,7 @@ class ChunkFrames(Sequence[np.ndarray | None]):
 
 
 class ChunkMasks(Sequence[np.ndarray | None]):
-    """The masks of one camera in a chunk of n steps, for n + 5 frames; None for a frame without one."""
+    """The masks of one camera in a chunk of n steps, for n + 5 frames; None for a frame without a mask."""
 
     def __init__(self, source: Source, chunk: Chunk) -> None:
         self._source, self._chunk = source, chunk
@@ -150,7 +152,9 @@ def measure_chunk(
     model: "Model | None" = None,
     terms: bool = False,
 ) -> Measured:
-    """Measure all steps of a chunk; with ``terms``, also the terms of the standard uncertainties."""
+    """Measure all steps of a chunk; ``frame_rate`` is in Hz.
+    ``model`` is the estimator with what was learned from sample frames. With ``terms``, the fields of the
+    result include ``uncertainty_terms``, the terms of the standard uncertainties."""
     from wavefield.measurement.step import measure
 
     sizes = {name: geometry.rig[name].size for name in chunk.sources}
@@ -171,8 +175,9 @@ def _find_high_water(
     chunk: Chunk,
     geometry: "GridGeometry",
 ) -> None:
-    """Mark steps in which the elevation z (n, ny, nx) reaches a limit of the searched range.
-    The fault is that of the step's first frame in the reference camera."""
+    """Mark steps whose elevation z (n, ny, nx) reaches a limit of the searched range as done with faults.
+    ``status`` (n,) is changed in place, and so is ``frames``: the first frame of such a step becomes a bad
+    frame of the reference camera."""
     from wavefield.measurement.search_range import at_border
 
     for step in np.flatnonzero(status != FrameStatus.FAILED).tolist():
@@ -187,7 +192,8 @@ def _find_high_water(
 def measure_and_write(
     store: Path, geometry: "GridGeometry", model: "Model | None", frame_rate: float, chunk: Chunk
 ) -> list[str]:
-    """Measure a chunk, write it to the store, and return a sentence about each bad frame."""
+    """Measure a chunk, write it to the store, and return a sentence about each bad frame.
+    ``frame_rate`` is in Hz; ``model`` is the estimator with what was learned from sample frames."""
     measured = measure_chunk(chunk, geometry, frame_rate, model)
     write_chunk(store, chunk.start, measured.fields, measured.frame_status, measured.faults)
     return measured.messages

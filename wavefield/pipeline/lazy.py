@@ -35,7 +35,7 @@ STEPS_PER_TASK = 24
 
 @dataclass(frozen=True)
 class ArraySource:
-    """Images of one camera in an xarray variable, in memory or lazy, read one by one."""
+    """Frames of one camera, read one by one from an xarray variable in memory or lazy (a `Source`)."""
 
     camera: str  # Name of the camera
     variable: xr.Variable  # (time, row, column)
@@ -45,22 +45,22 @@ class ArraySource:
         return int(self.variable.shape[0])
 
     def read(self, index: int) -> Frame:
-        """Read the frame of an index; a blank image counts as bad."""
+        """Return the frame at an index; it has a fault instead of an image that is blank or has NaN."""
         return check_content(np.asarray(self.variable[index].values), self.place(index))
 
     def place(self, index: int) -> str:
-        """Return the name of a frame, for messages."""
+        """Return the name of a frame for messages, such as "left frame 3"."""
         return f"{self.camera} frame {index}"
 
     def covered(self, index: int) -> np.ndarray | None:
-        """Return the mask of a frame (row, column), True where masked; None if there is none."""
+        """Return the mask of a frame, (row, column), True where masked; None if the frame has no mask."""
         if self.mask is None:
             return None
         mask = self.mask[index] if self.mask.ndim == 3 else self.mask
         return np.asarray(mask.values, bool)
 
     def window(self, start: int, stop: int) -> "ArraySource":
-        """Return the frames from start to stop (excluded)."""
+        """Return the frames start to stop - 1, as far as they exist, as another source."""
         part = slice(max(start, 0), stop)
         mask = self.mask[part] if self.mask is not None and self.mask.ndim == 3 else self.mask
         return replace(self, variable=self.variable[part], mask=mask)
@@ -78,46 +78,48 @@ def reconstruct(
     """Turn image series into a lazy cube of elevation and velocity.
 
     Images are read when values are requested. The first request also learns bead widths, wave spectra and
-    noise from sample steps of the whole series. A request for one step computes its whole chunk: to look at
-    single steps, choose a small ``steps_per_block``.
+    noise from sample steps of the whole series. A step is the interval between two consecutive frames; steps
+    are computed in chunks, so a request for one step computes its whole chunk. To look at single steps,
+    choose a small ``steps_per_block``.
 
     Parameters
     ----------
     frames : DataTree or mapping of str to DataArray
-        Images (time, row, column) per camera, at the same evenly spaced times in seconds: a tree such as
-        ``xr.open_datatree("experiment.yaml", engine="wavefield")`` returns, or arrays by name of camera. In a
-        tree, a variable ``mask`` next to an ``image``, (row, column) or (time, row, column), is true for
-        pixels to leave out. A coordinate ``departure`` (time) tells how late each image was taken, in frame
-        intervals.
+        Images (time, row, column) of each camera, by its name. The coordinate ``time``, in seconds, must be
+        evenly spaced and the same for all cameras. A tree, such as
+        ``xr.open_datatree("experiment.yaml", engine="wavefield")`` returns, has one group per camera with a
+        variable ``image``, and may have a ``mask``, (row, column) or (time, row, column), True for pixels to
+        leave out. A coordinate ``departure`` (time) tells how late each image was taken, in frame intervals.
     rig : Rig or path
         The cameras, or their file: ``rig.yaml``, or the rig file of another program (`load_rig`).
     grid : Grid or mapping, optional
-        Nodes of the cube in metres, also as a mapping such as ``dict(x=(-1, 1), y=(-1, 1), step=0.01)``; by
-        default the largest rectangle that all cameras see.
+        Grid points of the cube, in metres, also as a mapping such as
+        ``dict(x=(-1, 1), y=(-1, 1), step=0.01)``; by default the largest rectangle that all cameras see.
     settings : wavefield.measurement.Settings, optional
-        Settings of the measurement.
+        Settings of the measurement; by default those of ``Settings()``.
     steps_per_block : int
-        Number of steps of a chunk. It does not change the values.
+        Number of steps per chunk. The values do not depend on it.
     record : mapping, optional
-        What was learned for an earlier cube, ``cube.wavefield.recipe["record"]``. A part of that cube's
-        frames then gives the same values as there.
+        What was learned for an earlier cube, ``cube.wavefield.recipe["record"]``, to use it again. Some
+        frames of that cube then give the same values as there. By default it is learned from ``frames``.
 
     Returns
     -------
     Dataset
-        The cube: Dask arrays z (m), u, v, w (m/s), their standard uncertainties and further variables on
-        (time, y, x); time at mid-step in seconds.
+        The cube: Dask arrays z (m), u, v, w (m/s), their standard uncertainties and further variables over
+        (time, y, x). ``time`` is the time at mid-step, in seconds.
 
     Raises
     ------
     ExperimentError
-        If cameras are missing, or if times are not evenly spaced.
+        If a camera of the rig has no images, the times are not evenly spaced, or ``record`` was learned for
+        other cameras.
     RigError
-        If the rig file cannot be read, does not fit the images, or leaves no common field of view.
+        If the rig file cannot be read, is for images of another size, or the cameras see no common area.
 
     Examples
     --------
-    Black images, which are not read before values are requested.
+    The images are black; they are not read, because no values are requested.
 
     >>> from wavefield.tank import Scene
     >>> rig = Scene.load("demo").build_rig()
@@ -193,7 +195,7 @@ def reconstruct(
 
 
 def _grid_of(given: Grid | Mapping[str, Any] | None, rig: Rig, settings: "Settings") -> Grid:
-    """Return the grid that is given, or else the largest rectangle that all cameras see."""
+    """Return ``given`` as a Grid; for None, the largest rectangle that all cameras see."""
     if given is None:
         half_sheet = settings.sheet_thickness and 0.5 * settings.sheet_thickness
         return common_field(rig.cameras.values(), height=settings.z_range or half_sheet)
@@ -208,7 +210,9 @@ def _grid_of(given: Grid | Mapping[str, Any] | None, rig: Rig, settings: "Settin
 
 
 def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
-    """Measure a chunk of n steps; returns an object array (n,), whose first element holds all variables."""
+    """Measure a chunk of n steps, and return an object array (n,) whose first element is the results.
+    These are a dict of all variables, (n, ny, nx) or (n,); the other elements are None. ``known`` is the
+    geometry and the estimator."""
     geometry, model = known
     measured = measure_chunk(chunk, geometry, frame_rate, model)
     out = np.empty(chunk.steps, object)
@@ -217,7 +221,8 @@ def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
 
 
 def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array:
-    """Return one variable of the cube, lazy, from the results of `_measure`; ``shape`` is (ny, nx)."""
+    """Return the variable ``name`` of the cube as a lazy array; ``shape`` is (ny, nx).
+    ``measured`` (steps,) holds the results of `_measure`, one chunk of steps after the other."""
     row = TABLE[name]
     nodes = shape if len(row.dims) == 3 else ()
     out: da.Array = da.map_blocks(
@@ -234,7 +239,8 @@ def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array
 def _gain(
     once: Mapping[str, Delayed], geometry: "GridGeometry"
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the lazy tables (dimensions, array) of the response to waves, and the axes of the tables."""
+    """Return tables of the response to waves by name, each (dimensions, lazy array), and their coordinates.
+    ``once`` holds the values of these tables, which are computed later."""
     from wavefield.measurement.model import tabulated
 
     table = tabulated(geometry, None)
@@ -247,7 +253,7 @@ def _gain(
 
 
 def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> None:
-    """Raise ExperimentError if a learned record lacks a camera of the present measurement."""
+    """Raise ExperimentError if ``record``, learned for an earlier cube, lacks a camera of ``geometry``."""
     for part, cameras in (("beads", geometry.cameras), ("displacement", geometry.velocity_cameras)):
         learned = record.get(part)
         absent = [name for name in cameras if not isinstance(learned, Mapping) or name not in learned]
@@ -260,11 +266,12 @@ def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> Non
 
 @dataclass
 class _Learner:
-    """Learns search ranges and the record from sample steps at the first call, and keeps them."""
+    """A function of sample steps that returns the geometry and the estimator for the measurement.
+    At the first call it learns search ranges, bead widths, spectra and noise; later calls return the same."""
 
     geometry: "GridGeometry"
     frame_rate: float
-    record: Mapping[str, object] | None  # Learned for an earlier cube; otherwise None
+    record: Mapping[str, object] | None  # What was learned for an earlier cube; None to learn it now
     known: "Known | None" = None  # The geometry, and the model or None if nothing could be learned
 
     def __call__(self, pairs: Sequence[Mapping[str, Any]]) -> "Known":
@@ -282,7 +289,8 @@ class _Learner:
 
 
 def _from_record(known: "Known") -> dict[str, np.ndarray]:
-    """Return the variables of the cube that do not depend on time, by name."""
+    """Return the variables of the cube that do not depend on time (response to waves, ...), by name.
+    ``known`` is the geometry and the estimator."""
     geometry, model = known
     record = model.record if model else None
     frames = np.asarray(record.path_frames if record else 4, np.uint8)
@@ -292,7 +300,7 @@ def _from_record(known: "Known") -> dict[str, np.ndarray]:
 def _images(
     frames: xr.DataTree | Mapping[str, xr.DataArray],
 ) -> tuple[dict[str, xr.DataArray], dict[str, xr.Variable]]:
-    """Return the images of each camera, and the masks of those that have one, by name of camera."""
+    """Return the images by camera, and the masks by camera for cameras with a mask."""
     if isinstance(frames, xr.DataTree):
         nodes = {name: node.to_dataset() for name, node in frames.children.items()}
         images = {name: node["image"] for name, node in nodes.items() if "image" in node}
@@ -303,7 +311,9 @@ def _images(
 def _times(
     arrays: Mapping[str, xr.DataArray], rig: Rig, attributes: Mapping[str, Any]
 ) -> tuple[np.ndarray, float]:
-    """Return the times of the frames, s, and the frame rate, Hz, after a check of the images."""
+    """Return the times of the frames (n,), s, and the frame rate, Hz.
+    Raises an error if the images of the cameras differ in time, do not fit the rig, or have uneven times.
+    ``attributes`` may contain the ``frame_rate``."""
     name, first = next(iter(arrays.items()))
     for other, array in arrays.items():
         if array.dims[0] != "time" or array.ndim != 3:

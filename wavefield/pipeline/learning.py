@@ -1,4 +1,4 @@
-"""Learn bead widths, wave spectra and noise, the weights of the estimator, from sample steps of a record."""
+"""Learn bead widths, wave spectra and noise, which the estimator needs, from sample steps of a record."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -25,8 +25,9 @@ _MIN_MOTION_PX = 0.1  # px rms: less is noise
 def learn_record(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
-    """Choose sample steps of a record of ``steps``, and learn bead widths, wave spectra and noise from them.
-    Returns the learned record as plain data; empty if three sets of samples cannot be measured."""
+    """Choose sample steps, and learn bead widths, wave spectra and noise from them.
+    ``sources`` holds the frames by camera, and ``steps`` is the number of steps of the record. Returns plain
+    data (`LearnedRecord.to_dict`, and ``steps``: the samples); empty if three sets of samples fail."""
     from wavefield.measurement import sample_steps
 
     for number in range(_TRIES):
@@ -38,12 +39,13 @@ def learn_record(
 
 
 def samples(sources: Mapping[str, Source], steps: Sequence[int]) -> list[Mapping[str, Source]]:
-    """Return, for each step and camera, its two frames and the frame before them if there is one."""
+    """Return one mapping per step: by camera, the frame before the step (if any) and its two frames."""
     return [{n: s.window(max(k - 1, 0), k + 2) for n, s in sources.items()} for k in steps]
 
 
 def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the first and the second images of a sample step by camera; None for bad or repeated frames."""
+    """Return the first images and the second images of a step, each by camera; None for bad or repeated ones.
+    ``sample`` is an element of the list that `samples` returns."""
     first = {name: read_frame(source, len(source) - 2) for name, source in sample.items()}
     second = {name: read_frame(source, len(source) - 1, first[name].image) for name, source in sample.items()}
     one, two = ({n: None if f.fault else f.image for n, f in frames.items()} for frames in (first, second))
@@ -53,8 +55,8 @@ def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str,
 def steps_with_waves(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
 ) -> list[int]:
-    """Return steps to learn from, spread over the record, or over its strong waves if others are much weaker.
-    The strength is the variance of displacements in the images of one camera, about the mean current."""
+    """Return the steps to learn from: evenly spaced or, if waves are much weaker there, of strong waves.
+    The strength is the variance of the displacements in the images of one camera about the mean current."""
     from wavefield.measurement import sample_steps
 
     usual = sample_steps(steps)
@@ -88,8 +90,8 @@ def steps_with_waves(
 def learn_from(
     pairs: Sequence[Mapping[str, Source]], geometry: "GridGeometry", frame_rate: float, threads: int = 1
 ) -> dict[str, Any]:
-    """Learn bead widths, wave spectra and noise from the sample steps ``pairs`` of `samples`.
-    Returns the learned record as plain data; empty if no step can be measured."""
+    """Learn bead widths, wave spectra and noise from sample steps, ``pairs``, which `samples` returned.
+    Returns the result as plain data (`LearnedRecord.to_dict`); empty if no step can be measured."""
     from wavefield.measurement import learn
 
     def masks(pair: Mapping[str, Source], back: int) -> dict[str, Any]:
@@ -103,7 +105,9 @@ def learn_from(
 
 
 def once_per_cube(geometry: "GridGeometry", record: "LearnedRecord | None") -> dict[str, np.ndarray]:
-    """Return the response to waves and ``z_level_std``, the standard uncertainty of the level z = 0, m."""
+    """Return the variables that a cube has once, not per step, by name.
+    They are the response to waves (`tabulated`), and ``z_level_std``, the standard uncertainty of the level
+    z = 0, m."""
     from wavefield.measurement.error_budget import level_std
     from wavefield.measurement.model import tabulated
 

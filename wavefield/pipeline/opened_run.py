@@ -1,7 +1,7 @@
-"""Open a cube with its recipe, rig, experiment, images, probes, waves and truth.
+"""Open a cube together with what it was made from and what was computed from it.
 
-The cube names its experiment file relative to the store, so that a folder can be copied. Checksums of a few
-images (fingerprints) show whether these are still the images of the cube.
+A cube holds the path of its experiment file relative to the store, so that a folder can be copied. It also
+holds checksums of a few images (fingerprints), which show whether images have changed since.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ SAMPLE_FRAMES = 3  # frames of each camera with a checksum: first, middle and la
 
 
 def image_names(experiment: Experiment, camera: str) -> list[Any]:
-    """Return the file names, offset and time stamps of a camera's images, as the recipe holds them.
-    A list of more than 20 names is replaced by its length and hash."""
+    """Return [file names or their pattern, offset of frame numbers, file of time stamps] of a camera.
+    A recipe (the record of all inputs of a cube) holds this. More than 20 names are replaced by their number
+    and hash."""
     section = experiment.cameras[camera]
     images: Any = section.images
     if not isinstance(images, str) and len(images) > 20:  # a long list is identified by its hash
@@ -47,8 +48,9 @@ def image_names(experiment: Experiment, camera: str) -> list[Any]:
 
 
 def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
-    """Return the attributes of a cube that describe its experiment, with paths relative to the store.
-    The measured values do not depend on them."""
+    """Return attributes of a cube that describe its experiment but do not change the measured values.
+    They are the path of the experiment file and the folder of the images, both relative to the folder of
+    ``store``, the description, and depth and surface tension of the water."""
     home, own = store.absolute().parent.resolve(), experiment.path.parent.resolve()
     out: dict[str, Any] = {"experiment_file": _relative(own / experiment.path.name, home)}
     if experiment.description:
@@ -60,7 +62,7 @@ def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
 
 
 def _relative(path: Path, home: Path) -> str:
-    """Return a path relative to a folder, or as it is if they are on different drives."""
+    """Return ``path`` relative to the folder ``home``, or ``path`` itself if they are on different drives."""
     try:
         return Path(os.path.relpath(path, home)).as_posix()
     except ValueError:  # on another drive
@@ -68,15 +70,15 @@ def _relative(path: Path, home: Path) -> str:
 
 
 def _named(store: Path, attributes: Mapping[str, object], name: str) -> Path:
-    """Return the path in the attribute ``name`` of a cube, which is relative to the folder of the store."""
+    """Return the path in the attribute ``name`` of a cube; paths there are relative to the store's folder."""
     home = store.absolute().parent.resolve()
     return Path(os.path.normpath(home / str(attributes.get(name, ""))))
 
 
 def load_experiment(store: Path, attributes: Mapping[str, object], given: Path | None = None) -> Experiment:
-    """Read the experiment of a cube: the file ``given``, or else one whose images are those of the cube.
-    This is the file next to the cube or, if that is missing or does not fit, the file that ``attributes``
-    state."""
+    """Read the experiment of a cube with these attributes from the file ``given`` or, by default, find it.
+    It is the file next to the cube or, if that is missing or has other images, the file that the attributes
+    name. WavefieldError if both fail."""
     named, folder = (_named(store, attributes, name) for name in ("experiment_file", "image_folder"))
     images = folder if attributes.get("image_folder") and folder.is_dir() else None
     if given is not None:
@@ -96,7 +98,8 @@ def load_experiment(store: Path, attributes: Mapping[str, object], given: Path |
 
 
 def _check_first_images(experiment: Experiment, store: Path, attributes: Mapping[str, object]) -> None:
-    """Raise StoreError if the first images of an experiment are there and are not those of a cube."""
+    """Raise StoreError if the first image of a camera differs from that of a cube with these attributes.
+    Images that cannot be read are not compared."""
     begun = json.loads(str(attributes.get("fingerprints", "{}")))
     first = {camera: {k: sums[k] for k in sorted(sums, key=int)[:1]} for camera, sums in begun.items()}
     try:
@@ -107,7 +110,7 @@ def _check_first_images(experiment: Experiment, store: Path, attributes: Mapping
 
 
 def fingerprints(series: Mapping[str, FrameSeries]) -> dict[str, dict[str, int]]:
-    """Return checksums of the first, middle and last image of each camera, by camera and index of frame."""
+    """Return checksums of the first, middle and last image of each camera: {camera: {index: checksum}}."""
     out: dict[str, dict[str, int]] = {}
     for name, frames in series.items():
         read = {str(k): frames.read(k).image for k in from_first_to_last(len(frames), SAMPLE_FRAMES)}
@@ -122,8 +125,8 @@ def _sum(image: np.ndarray) -> int:
 def check_images(
     store: str, begun: Mapping[str, Mapping[str, int]], series: Mapping[str, FrameSeries]
 ) -> None:
-    """Raise StoreError if images differ from those with the checksums `begun` of `fingerprints`.
-    `store` names the cube in the message. Missing cameras and unreadable images are skipped."""
+    """Raise StoreError if images in `series` have other checksums than `begun`, a result of `fingerprints`.
+    `store` is the name of the cube in the message. Missing cameras and unreadable images are skipped."""
     for name, sums in begun.items():
         for index, expected in sums.items() if name in series else ():
             image = series[name].read(int(index)).image
@@ -139,37 +142,39 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A cube with its recipe, rig, experiment, images, probes, waves and truth, each read when first used.
+    """A cube with what it was made from (rig, images, ...) and computed from it (waves): see `open_run`.
 
-    Anything that is absent is None or empty, and `reason` explains why.
+    Its attributes are read when first used. Those that are absent are None or empty, and `reason` explains
+    why.
     """
 
     cube: xr.Dataset  # (time, y, x): The cube, lazy
     store: Path = Path()  # Store of the cube
-    waves_path: Path = Path()  # Store of its waves, which may not exist
-    experiment_path: Path | None = None  # Experiment file, if not the one next to the cube or the original
-    truth_path: Path | None = None  # Exact fields of a simulation, if not next to the experiment file
+    waves_path: Path = Path()  # Store of the cube's waves, which may not exist
+    experiment_path: Path | None = None  # Experiment file; None for that next to the cube or the original
+    truth_path: Path | None = None  # Store of the exact fields of a simulation; None for truth/truth.zarr
     _reasons: dict[str, str] = field(default_factory=dict, init=False, repr=False)
 
     def reason(self, name: str) -> str:
-        """Return why a part of the run, such as "waves", is absent; empty if it is there."""
+        """Return why an attribute of the run, such as "waves", is absent; an empty text if it is present."""
         getattr(self, name)
         return self._reasons.get(name, "")
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
-        """The recipe of the cube as plain data: settings, rig, grid, images, algorithm; empty without one."""
+        """The recipe of the cube, the record of all inputs: settings, rig, grid, images and algorithm.
+        It is plain data, and empty if the cube holds no recipe."""
         return recipe_of(self.cube.attrs)
 
     @cached_property
     def rig(self) -> Rig | None:
-        """The cameras that were used; None if the recipe has no rig."""
+        """The calibrated cameras with which the cube was measured; None if the recipe has no rig."""
         cameras = self.recipe.get("rig")
         return Rig({name: Camera.from_dict(one) for name, one in cameras.items()}) if cameras else None
 
     @cached_property
     def grid(self) -> Grid:
-        """The nodes of the cube, from its recipe or else from its coordinates."""
+        """The grid points of the cube, from its recipe or else from its coordinates."""
         if grid := self.recipe.get("grid"):
             return Grid(**grid)
         x, y = self.cube.x.values, self.cube.y.values
@@ -177,14 +182,14 @@ class Run:
 
     @cached_property
     def experiment(self) -> Experiment | None:
-        """The experiment; None if its file is missing or cannot be read."""
+        """The experiment of the cube; None if its file is missing, cannot be read or has other images."""
         return self._try(
             "experiment", lambda: load_experiment(self.store, self.cube.attrs, self.experiment_path), None
         )
 
     @cached_property
     def frames(self) -> dict[str, FrameSeries]:
-        """Images of every camera with their masks; empty if they are missing."""
+        """Images of every camera, with masks for the measuring cameras; empty if they are missing."""
         experiment, rig = self.experiment, self.rig
         if experiment is None:
             self._reasons["frames"] = f"the experiment file cannot be read: {self._reasons['experiment']}"
@@ -199,7 +204,8 @@ class Run:
 
     @cached_property
     def probes(self) -> xr.Dataset | None:
-        """Elevations at the wave probes of the experiment; None without probes or without their file."""
+        """Elevations at the wave probes of the experiment (`wavefield.read_probes`).
+        None if the experiment names no probes, or if the file of the probes does not exist."""
         experiment = self.experiment
         if experiment is None or experiment.probes is None:
             self._reasons["probes"] = self._reasons.get("experiment", "the experiment names no probes")
@@ -213,7 +219,8 @@ class Run:
 
     @cached_property
     def waves(self) -> xr.DataTree | None:
-        """The wave store, lazy; None if it does not exist, or if the cube has changed since."""
+        """The waves that `wavefield.analyze` has stored, lazy; None without them or if the cube has changed.
+        StoreError if the store has the waves of another cube."""
         if not self.waves_path.is_dir():
             self._reasons["waves"] = f"no waves yet: run `wavefield analyze {self.store}`"
             return None
@@ -233,14 +240,14 @@ class Run:
         return None
 
     def wave_group(self, name: str) -> xr.Dataset | None:
-        """Return one group of the wave store, such as "spectra", loaded; None if there is none."""
+        """Return one group of `waves`, such as "spectra", loaded into memory; None if there is none."""
         if self.waves is None or name not in self.waves.children:
             return None
         return self.waves[name].to_dataset().load()
 
     @cached_property
     def truth(self) -> xr.Dataset | None:
-        """Exact fields of a simulated experiment, lazy; None if there are none."""
+        """Exact elevation and velocity of a simulated experiment, lazy; None if there are none."""
         file = self.experiment_path or _named(self.store, self.cube.attrs, "experiment_file")
         folder = (self.experiment.path if self.experiment else file).parent
         path = self.truth_path or folder / "truth" / "truth.zarr"
@@ -266,7 +273,8 @@ class Run:
         return found
 
     def _try(self, name: str, load: Callable[[], T], absent: T) -> T:
-        """Return the result of ``load``, or ``absent`` if it raises an error, which becomes the reason."""
+        """Return the result of ``load()``, or ``absent`` if that raises an error.
+        The error's message becomes the reason why the attribute ``name`` is absent."""
         try:
             return load()
         except (WavefieldError, OSError) as error:
@@ -281,22 +289,33 @@ def open_run(
     experiment: str | Path | None = None,
     truth: str | Path | None = None,
 ) -> Run:
-    """Open a cube with its recipe, rig, experiment, images, probes, waves and truth.
+    """Open a cube together with what it was made from and what was computed from it.
 
     Parameters
     ----------
     store : path
         Cube written by `run`, or a folder that contains one.
-    waves, experiment, truth : path, optional
-        Store of its waves, experiment file, and exact fields of a simulation, if they are elsewhere than next
-        to the cube, where the experiment file was, and in ``truth/truth.zarr`` next to that file.
+    waves : path, optional
+        Store of the cube's waves; by default next to the cube, where `analyze` writes it.
+    experiment : path, optional
+        Experiment file; by default the file next to the cube, or else the file that was run.
+    truth : path, optional
+        Store of the exact fields of a simulation; by default ``truth/truth.zarr`` in the folder of the
+        experiment file.
 
     Returns
     -------
     Run
-        Its attributes ``cube``, ``recipe``, ``rig``, ``grid``, ``experiment``, ``frames``, ``probes``,
-        ``waves``, ``truth`` and ``pair_statistics`` are read when first used. Absent parts are None or empty;
-        ``run.reason("probes")`` explains why.
+        Its attributes are read when first used:
+
+        - ``cube``: the measured fields (time, y, x);
+        - ``recipe``: record of all inputs of the cube, such as settings and names of images;
+        - ``rig``, ``grid``, ``experiment``, ``frames``, ``probes``: cameras, grid points, experiment file,
+          images and wave probes;
+        - ``waves``, ``truth``, ``pair_statistics``: wave spectra and more, exact fields of a simulation,
+          errors of each pair of cameras.
+
+        Absent attributes are None or empty; ``run.reason("probes")`` explains why.
 
     Raises
     ------
@@ -305,7 +324,7 @@ def open_run(
 
     Examples
     --------
-    The store of a run of ten steps, before any step is measured.
+    A new store for ten steps, none of which is measured yet.
 
     >>> import tempfile
     >>> import numpy as np

@@ -1,6 +1,6 @@
-"""Read and check frames, rig, grid, settings and search ranges before a run.
+"""Read and check frames, rig, grid and settings before a run, and estimate search ranges.
 
-Rigs, grids and elevations that cannot be in metres raise errors.
+Rigs, grids and elevations whose values cannot be metres raise errors.
 """
 
 import hashlib
@@ -44,8 +44,9 @@ _MAX_THICKNESS_FRACTION = 0.05  # beads and light sheets, as a fraction of that 
 
 
 def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> None:
-    """Raise an error if cameras of a rig are not above the water, or if its lengths are not in metres.
-    ``rig_file`` is the name of the rig in messages."""
+    """Raise RigError or ExperimentError if a rig has cameras below the water, or is not in metres.
+    It is not in metres if the cameras would be 2 cm or less, or 200 m or more, from the water. ``rig_file``
+    is the name of the rig in messages."""
     refuse_own_frame(rig, rig_file)
     distance = float(np.median(_distances(rig)))
     if not _CAMERA_DISTANCES[0] <= distance <= _CAMERA_DISTANCES[1]:
@@ -62,7 +63,8 @@ def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> 
 
 
 def refuse_own_frame(rig: Rig, rig_file: str) -> None:
-    """Raise RigError if a rig has no camera positions, or is in the coordinate system of a camera."""
+    """Raise RigError if a rig has no camera positions, or if a camera is the origin of its coordinates.
+    ``rig_file`` is the name of the rig in messages."""
     if rig.lenses_alone:
         raise RigError(
             f"{rig_file} contains lenses but no camera positions; for two cameras at sea, "
@@ -79,7 +81,7 @@ def refuse_own_frame(rig: Rig, rig_file: str) -> None:
 
 
 def expected_coverage(rig: Rig, grid: Grid) -> float:
-    """Return the fraction of the grid that all cameras see when the water is at rest."""
+    """Return the fraction of the grid that every camera sees when the water is at rest."""
     x, y = np.linspace(*grid.x), np.linspace(*grid.y)[:, None]  # 50 x 50 points are enough
     visible = np.ones((y.size, x.size), bool)
     with np.errstate(all="ignore"):  # a grid in another unit may reach behind the cameras
@@ -89,7 +91,7 @@ def expected_coverage(rig: Rig, grid: Grid) -> float:
 
 
 def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
-    """Raise ExperimentError if all cameras together see less than 5 % of the grid."""
+    """Raise ExperimentError if the area that every camera sees is less than 5 % of the grid."""
     fraction = expected_coverage(rig, grid)
     if fraction >= _MIN_COVERAGE:
         return
@@ -103,7 +105,8 @@ def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
 
 
 def refuse_high_water(settings: "Settings", rig: Rig, source: Path | None) -> None:
-    """Raise ExperimentError if a height in the settings is too large for the distance of the cameras."""
+    """Raise ExperimentError if a length in the settings is too large for cameras so near to the water.
+    The lengths are z_range, bead_height and sheet_thickness. ``source`` is the file of the settings."""
     distance = min(_distances(rig))
     for name, value, fraction in (
         ("z_range", settings.z_range, _MAX_ELEVATION_FRACTION),
@@ -119,7 +122,8 @@ def refuse_high_water(settings: "Settings", rig: Rig, source: Path | None) -> No
 
 
 def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
-    """Raise ExperimentError if the grid, or a camera's part of it, is too small for a wave spectrum."""
+    """Raise ExperimentError if the grid, or the part that a camera sees, is too small for a wave spectrum.
+    ``source`` is the name of the experiment in the message."""
     shapes = {"the grid": geometry.lattice.shape}
     shapes |= {f"the part that {name} sees": s.lattice.shape for name, s in geometry.sights.items()}
     for name, (rows, columns) in shapes.items():
@@ -131,7 +135,8 @@ def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
 
 
 def _distances(rig: Rig) -> list[float]:
-    """Return the distance of each camera from the water, m, along the line of sight of its image centre."""
+    """Return how far each camera is from the water, m, along the line of sight of its image centre.
+    If this line does not meet the water, it is the camera's height."""
     distances = []
     for camera in rig.cameras.values():
         x, y = (float(v) for v in camera.unproject(*(0.5 * (n - 1) for n in camera.size)))
@@ -149,22 +154,24 @@ MAX_CHUNK_STEPS = 100  # the five extra frames of a chunk cost as much as one or
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """Inputs of a run, read and checked by `prepare`."""
+    """All inputs of a run, read and checked: the result of `prepare`."""
 
     experiment: Experiment  # The experiment
     series: Mapping[str, FrameSeries]  # Frames of the measuring cameras
     rig: Rig  # The measuring cameras
     grid: Grid  # Nodes of the cube
     geometry: "GridGeometry"  # Blocks, sight lines and search ranges, computed from rig, grid and settings
-    recipe: Recipe  # Everything that determines the values of the cube, as plain data
+    recipe: Recipe  # Record of all inputs that determine the values of the cube, as plain data
     workflow: Workflow  # Cluster, chunks and settings of the run
-    model: "Model | None" = None  # Estimator with the learned record; None before learning
+    model: "Model | None" = None  # Estimator with bead widths, spectra and noise; None before learning
     motion: FirstGuess | None = None  # Displacement between frames; None if its search range is given
     heights: FirstHeights | None = None  # Range of elevations; None if `z_range` is given
-    departures: np.ndarray | None = None  # (n,): Lateness in frame intervals; None if times are even
+    # (frames,): delay of each frame relative to even times, in frame intervals; None if times are even
+    departures: np.ndarray | None = None
 
     def with_prior(self, record: Mapping[str, object]) -> "PreparedRun":
-        """Return the same run with the record that was learned from sample frames, given as plain data."""
+        """Return the same run with an estimator that uses ``record``, the result of `learn_record`.
+        An empty record leaves the estimator as it is."""
         from wavefield.measurement import LearnedRecord, Model
 
         model = Model(self.geometry, LearnedRecord.from_dict(record)) if record else self.model
@@ -176,7 +183,8 @@ class PreparedRun:
         return None if self.model is None else self.model.record
 
     def read_uncovered(self, name: str, frame: int) -> Any:
-        """Return an image of the camera ``name`` with masked pixels filled; None if it is missing or bad."""
+        """Return the image of the camera ``name`` at an index in the record, with masked pixels filled.
+        None if the image is missing or bad."""
         return self.series[name].read_uncovered(frame)
 
     @property
@@ -196,7 +204,7 @@ class PreparedRun:
 
     @property
     def first_frame(self) -> int:
-        """Number of the first frame of the record: its file number plus the camera's offset."""
+        """Number of the first frame of the record: number of its file plus `offset` of the camera."""
         return next(iter(self.series.values())).first
 
     @property
@@ -206,7 +214,8 @@ class PreparedRun:
 
     @property
     def chunk_steps(self) -> int:
-        """Number of steps per chunk of a new store, which fits into memory and divides the steps evenly."""
+        """Number of steps per chunk of a new store: that of the workflow, if given.
+        Otherwise a chunk fits into the memory of a worker, and all workers have about equal work."""
         workers, memory = count_workers(self.workflow), self.workflow.memory_bytes
         # half of the memory is for the results: as measured, stacked and compressed, with some reserve
         fitting = int((memory or 1_500_000_000) // 2 // (4 * self.step_bytes))
@@ -222,7 +231,7 @@ def prepare(
     workflow: str | Path | Workflow | None = None,
 ) -> PreparedRun:
     """Read and check the inputs of a run, and estimate search ranges that the settings do not give.
-    ``rig`` is used instead of the rig that the experiment names."""
+    ``rig`` replaces the rig that the experiment names. ExperimentError or RigError if an input is wrong."""
     from wavefield.measurement import GridGeometry
 
     experiment, workflow = load_files(experiment, workflow)
@@ -264,7 +273,8 @@ def prepare(
 
 
 class _SampleImages:
-    """Images of a record, filtered as the matching does."""
+    """Images of a record, filtered as for the measurement, from which search ranges are estimated.
+    ``steps`` are a few steps, evenly spaced, whose images are kept in memory."""
 
     def __init__(self, series: Mapping[str, FrameSeries], geometry: "GridGeometry") -> None:
         self.series, self.geometry = series, geometry
@@ -275,7 +285,7 @@ class _SampleImages:
         self._shared: dict[tuple[str, int], np.ndarray | None] = {}
 
     def read(self, name: str, frame: int) -> np.ndarray | None:
-        """Return a filtered image of the camera ``name``; None if it is missing or bad."""
+        """Return the filtered image of the camera ``name`` at an index; None if it is missing or bad."""
         from wavefield.measurement.images import bead_width, ready, usable
 
         if (name, frame) in self._shared:
@@ -293,7 +303,8 @@ class _SampleImages:
 def load_files(
     experiment: str | Path | Experiment, workflow: str | Path | Workflow | None
 ) -> tuple[Experiment, Workflow]:
-    """Return the experiment and the workflow, read from their files unless they are given as objects."""
+    """Return the experiment and the workflow, which are read if they are given as files.
+    The default workflow uses the processes of this machine."""
     if not isinstance(experiment, Experiment):
         experiment = Experiment.load(experiment)
     if not isinstance(workflow, Workflow):
@@ -304,7 +315,8 @@ def load_files(
 def make_recipe(
     experiment: Experiment, series: Mapping[str, FrameSeries], geometry: "GridGeometry", packing: str
 ) -> Recipe:
-    """Return the recipe of a run: everything that determines the values of the cube."""
+    """Return the recipe of a run, the record of all inputs that determine the values of the cube.
+    ``packing`` is the type of stored values, such as "float32"."""
     one = next(iter(series.values()))
     return Recipe(
         experiment=experiment.name,
@@ -322,7 +334,8 @@ def make_recipe(
 
 
 def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
-    """Return the settings: those of the workflow, else those of the experiment, else the defaults."""
+    """Return the settings of the measurement: each from the workflow, else the experiment, else its default.
+    Pairs, velocity cameras and delays of image rows come from other keys of the experiment file."""
     from wavefield.measurement.settings import Settings
 
     for source in (experiment, workflow):  # checked one by one, so that errors name the right file

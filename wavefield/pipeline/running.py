@@ -1,8 +1,8 @@
 """Process an experiment into a store, chunk by chunk, in one process or many.
 
 A step is the interval between two consecutive frames; a chunk is a range of steps that one task measures and
-writes. After an interruption (Ctrl-C, time limit, failed scheduler, full disk) the same command resumes: it
-measures only the chunks that the ledger, the status of each step in the store, does not mark as done.
+writes. After an interruption (Ctrl-C, time limit, failed scheduler, full disk) the same command resumes. It
+measures only chunks that are not done, as the status of each step in the store shows.
 """
 
 import json
@@ -57,7 +57,7 @@ def run(
     workflow: str | Path | Workflow | None = None,
     progress: ProgressFunction | None = None,
 ) -> Status:
-    """Process an experiment into a cube, or resume an earlier run of the same recipe.
+    """Process an experiment into a cube, or resume an earlier run with the same inputs.
 
     Parameters
     ----------
@@ -68,31 +68,32 @@ def run(
     rig : path or Rig, optional
         Used instead of the rig that the experiment names.
     workflow : path or Workflow, optional
-        Cluster and settings; by default the processes of this machine.
+        Workers, and settings that replace those of the experiment; by default the processes of this machine.
     progress : callable, optional
-        Called with the number of steps done, the number of all steps, and a sentence.
+        Called with the number of steps done, the number of all steps, and a sentence on the stage of the run.
 
     Returns
     -------
     Status
-        Number of steps done, failed and left, and the verdict on the cube.
+        Numbers of steps done, failed and left, and remarks on faults of the measurement (the verdict).
 
     Raises
     ------
     ExperimentError, RigError
-        If a file is missing or wrong; nothing has been written then.
+        If a file is missing or wrong; no cube has been written then.
     StoreError
-        If the store has another recipe or other images, cannot be written, or is being written by another
-        run.
+        If the store was made from other inputs or images, cannot be written, or is being written by another
+        run; or if steps could not be computed because of an unexpected error.
     RunStopped
-        If the run was interrupted.
+        If Ctrl-C, a signal or the workflow's time limit has stopped the run. The same call resumes it.
 
     Notes
     -----
-    Results do not depend on the number of workers or the size of chunks.
+    The results do not depend on the number of workers or on the size of chunks.
 
-    A run resumes only with the recipe of its store: settings, rig, grid, names of images, and the version of
-    the algorithm. Name, description and water may change.
+    A store keeps its recipe, the record of all inputs: settings, rig, grid, names of images, and version of
+    the algorithm. A run resumes only if these are the same. Name and description of the experiment, and depth
+    and surface tension of the water, may change.
 
     Worker processes import the program that started them: in a script, call this below
     ``if __name__ == "__main__":``.
@@ -138,8 +139,8 @@ def process(
     prepared: PreparedRun, path: Path, map_unordered: MapUnordered, progress: ProgressFunction | None = None
 ) -> Status:
     """Create the store ``path`` or resume it, measure all chunks that are left, and assess the cube.
-    The caller has locked the store. ``map_unordered(work, chunks)`` runs the tasks on workers, and yields
-    each chunk with its result or error."""
+    The caller must have locked the store. ``map_unordered(work, chunks)`` runs ``work`` on workers, and
+    yields each chunk with its result or exception. RunStopped if the run is interrupted."""
     with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
         try:
             prepared, layout = _open_or_create(prepared, path)
@@ -177,7 +178,9 @@ def process(
 
 
 def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, StoreLayout]:
-    """Open the store of a run, or learn the record and create the store; returns run and layout."""
+    """Open the store ``path`` of a run or, if it does not exist, learn from sample frames and create it.
+    Returns the run with what was learned (from the store, if it exists), and the layout of the store.
+    StoreError if the store was made from other inputs or images."""
     if path.exists():
         group = open_group(path)
         check_recipe(path, group.attrs, prepared.recipe)
@@ -205,8 +208,9 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
 
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
-    """Return the chunks to measure, as (start, stop) in steps, and mark them as not started in the store.
-    They are not done, their files are missing, or they had bad frames that are readable now."""
+    """Return the chunks that must be measured, (first step, last step + 1), from the state of a store.
+    These are chunks that are not done. Chunks whose files are missing, or which had bad frames that can be
+    read now, are first marked in the store as not started."""
     from wavefield.measurement.images import usable
 
     missing = missing_chunks(path, layout)
@@ -231,9 +235,9 @@ def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries
 def _work_off(
     prepared: PreparedRun, path: Path, todo: Sequence[Chunk], map_unordered: MapUnordered, tracker: "_Tracker"
 ) -> None:
-    """Measure chunks on the workers, and count them in ``tracker``.
-    A WavefieldError of a chunk is raised at once, other errors at the end or once three chunks have failed
-    and none has succeeded."""
+    """Measure the chunks ``todo`` on workers, and count their steps in ``tracker``.
+    A WavefieldError of a chunk is raised at once. Other errors are raised as StoreError after all chunks, or
+    once three chunks have failed and none has succeeded."""
     work = partial(measure_and_write, path, prepared.geometry, prepared.model, prepared.frame_rate)
     failures: list[tuple[Chunk, BaseException]] = []
     succeeded = 0
@@ -262,14 +266,15 @@ def _work_off(
 
 
 class _Tracker:
-    """Counts measured steps, and reports progress to the log and to the user's function."""
+    """Counts the measured steps of a run, and reports progress to the log and to the user's function.
+    ``total`` is the number of all steps; ``done`` steps were measured before this run."""
 
     def __init__(self, total: int, done: int, progress: ProgressFunction | None) -> None:
         self.total, self.done, self._progress = total, done, progress
         self._since, self._before, self._logged = time.monotonic(), done, 0.0
 
     def add(self, steps: int) -> None:
-        """Count steps that were measured, and report the time left."""
+        """Add ``steps`` newly measured steps, and report the number of steps and the time left."""
         self.done += steps
         now = time.monotonic()
         left = (now - self._since) / (self.done - self._before) * (self.total - self.done)

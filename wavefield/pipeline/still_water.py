@@ -1,4 +1,4 @@
-"""Correct and level a rig with a record of still, seeded water."""
+"""Correct a rig with images of still, seeded water, and bring z = 0 to the water."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def level_at_rest(
     frames: int = FRAMES,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Rig, RigCheck, WaterPlane]:
-    """Correct a rig, and level it so that z = 0 is the water, with some frames of still, seeded water.
-    Returns the corrected rig; a check of how well sight lines of its cameras met before; and the plane of the
-    water before levelling."""
+    """Correct a rig with some frames of still, seeded water, and level it so that z = 0 is the water.
+    ``rig`` replaces the rig of the experiment. ``progress`` is called with the number of frames done and of
+    all. Returns the corrected rig, a check of the given rig, and the plane of the water in the given rig."""
     from wavefield.calibration.still_water import refine_and_level
     from wavefield.measurement.pair import matched_pixels
 
@@ -42,7 +42,7 @@ def level_at_rest(
 
 
 def plane_sentence(plane: WaterPlane) -> str:
-    """Return a sentence on the height, slope and scatter of the plane of the water."""
+    """Return a sentence on the height, the slope and the rms scatter of the plane of the water."""
     return (
         f"The water's plane: {1e3 * plane.height:+.3f} mm at the origin, slope {1e3 * plane.slope[0]:+.3f}, "
         f"{1e3 * plane.slope[1]:+.3f} mrad along x, y; rms about it {1e3 * plane.rms:.3f} mm."
