@@ -44,8 +44,7 @@ class WavesAccessor:
 
 def _method(name: str, field: str | None) -> Callable[..., Any]:
     """Return a method of the accessor that calls the function `name` of `wavefield.waves`.
-    If `field` is None, the function receives the cube, otherwise one variable, by default that called
-    `field`."""
+    The function receives the cube if `field` is None, otherwise one variable, which is `field` by default."""
 
     def call_with_cube(self: WavesAccessor, *args: Any, **options: Any) -> Any:
         return getattr(waves, name)(self._cube, *args, **options)

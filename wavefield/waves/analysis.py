@@ -116,7 +116,7 @@ def one_pass(
     cube: xr.Dataset, welch: Welch, requested: Requested, progress: Progress | None, each: Each
 ) -> dict[str, Any]:
     """Read a cube once, and return the sums that wave products need, by their names in `products.GIVEN`.
-    `each(work, items)` maps work over chains of segments; `progress(done, total)` receives their numbers."""
+    `each(work, items)` maps work over chains of segments; `progress(done, total)` is called after each."""
     record = welch.record
     scale = moments.rough_scales(cube, record, list(moments.QUANTITIES.values()))
     read = Reader([cube[name] for name in FIELDS], record)

@@ -23,8 +23,8 @@ SHARED = 0.1
 
 def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
     """Return the lowest `count` Fourier coefficients of the segments of `series` (time, points).
-    The result is (count, segments * points); segments of `segment` steps overlap by half, under a Hann
-    window."""
+    The result is (count, segments * points). Segments of `segment` steps overlap by half and are
+    Hann-windowed."""
     half = segment // 2
     window = hann(segment).astype(series.dtype)[:, None]
     out = []

@@ -55,7 +55,7 @@ def _series(field: xr.DataArray, record: Record) -> list[Array]:
 
 
 def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array, Array]:
-    """Return sums of z^0 to z^4 (blocks, 5), and the numbers of crests and of troughs that reach levels.
+    """Return sums of z^0 to z^4 (blocks, 5), and the numbers of crests and of troughs that reach each level.
     Both numbers are (blocks, levels). The `runs`, elevations z (time, points) without their mean, are cut
     into blocks of `block` steps; levels are `LEVELS` times `sigma`, in m."""
     sums, above = [], []

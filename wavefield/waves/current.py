@@ -62,7 +62,7 @@ FITTED, GIVEN, NO_CURRENT = "fit", "given", "none"
 
 @dataclass(frozen=True)
 class CurrentUsed:
-    """Velocity of the water that an estimate, such as a directional spectrum, used; with its origin."""
+    """Velocity of the water that an estimate, such as a directional spectrum, used, and its origin."""
 
     velocity: tuple[float, float]  # along x and y, m/s
     std: tuple[float, float]  # standard uncertainty, m/s; NaN where it was not estimated
@@ -71,7 +71,7 @@ class CurrentUsed:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes of a result computed with it: ``current``, ``current_std`` and ``current_source``.
+        """Attributes of a result that used the current: ``current``, ``current_std``, ``current_source``.
         If the fit failed, ``current_fit_refused`` gives the reason."""
         out = {"current": list(self.velocity), "current_std": list(self.std), "current_source": self.source}
         return out | ({"current_fit_refused": self.reason} if self.reason else {})

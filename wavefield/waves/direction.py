@@ -80,7 +80,8 @@ def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
 
 def sector_freedom(levels: Array, covariances: Array) -> Array:
     """Return the degrees of freedom of each sector's fraction of the total energy, (sectors,).
-    `levels` (sectors,) are the energies, and `covariances` (sectors, sectors) those of the energies."""
+    `levels` (sectors,) are the energies of the sectors, and `covariances` (sectors, sectors) their
+    covariances."""
     total = max(levels.sum(), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
@@ -88,7 +89,7 @@ def sector_freedom(levels: Array, covariances: Array) -> Array:
 
 
 def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[float, float]:
-    """Return the standard uncertainties of the first Fourier harmonic of D(theta), along and across it.
+    """Return two standard uncertainties of the first harmonic of D(theta), along and across its direction.
     `levels` are the energies at `theta`, both (sectors,); `covariances` are those of the levels."""
     total = max(levels.sum(), 1e-300)
     turned = np.exp(1j * theta)
@@ -241,7 +242,8 @@ def elevation_density(
     density: xr.DataArray, current: tuple[float, float], frames: int, water: tuple[float, float]
 ) -> xr.DataArray:
     """Return E(omega, ky, kx) of the elevation, from the spectrum `density` of w; zero at omega = 0.
-    w, from `frames` frames, is integrated at the frequency omega - k . U in the frame of the water."""
+    w, which is from `frames` frames, is integrated at omega - k . U, the frequency in the frame of the
+    water."""
     omega, ky, kx = np.meshgrid(
         *(density[name] for name in ("omega", "ky", "kx")), indexing="ij", sparse=True
     )
@@ -350,8 +352,8 @@ def _label(
     frequency: Array, centres: Array, levels: Array, degrees: Array, cells: tuple[float, float], stds: Array
 ) -> xr.Dataset:
     """Return the Dataset of `directions` from the energies `levels` (frequency, sectors), without ``efth``.
-    `centres` (frequency,) are wavenumbers and `cells` the sides of a cell along ky and kx, rad/m. `degrees`
-    are those of freedom of `levels`, and `stds` (2, frequency) results of `harmonic_stds`."""
+    `centres` (frequency,) are wavenumbers and `cells` the sides of a cell along ky and kx, rad/m; `degrees`
+    are the degrees of freedom of `levels`, and `stds` (2, frequency) results of `harmonic_stds`."""
     sectors = levels.shape[1]
     width = 2 * np.pi / sectors
     theta = (np.arange(sectors) + 0.5) * width
@@ -394,7 +396,8 @@ def _label(
 def direction_group(
     density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch
 ) -> xr.Dataset | Noted:
-    """Return the group `direction` of `analyze` from E(omega, ky, kx) of w; no ``efth`` without current."""
+    """Return the group `direction` of `analyze` from E(omega, ky, kx) of w.
+    If the current is not known, ``efth`` is left out, with a note."""
     water = depth, gamma
     elevation = elevation_density(density, used.velocity, welch.frames, water)
     frequency = resolved_frequencies(density, *water)

@@ -40,7 +40,7 @@ BAND_WIDTH = 0.5  # Hz, chosen: width of the bands in which the points are compa
 
 
 def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Array], Array]:
-    """Return a function of the current (2,), m/s: model less measured omega of each point, over its std.
+    """Return a function of the current (2,): model less measured omega of points, in standard deviations.
     The slope of the relation on the current `around` converts the uncertainty of k to that of omega."""
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
     free, speed = dispersion(points.k, *water), group_velocity(points.k, *water)
@@ -196,7 +196,7 @@ def _between(limits: tuple[float, float]) -> str:
 
 
 def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> RelationPoints:
-    """Return the points; if they are fewer than six, raise CubeError, which names the band `limits`."""
+    """Return the points; raise CubeError, with the frequencies `limits`, if they are fewer than six."""
     if len(points) < MIN_POINTS:
         raise CubeError(f"no dispersion relation was found {_between(limits)}: choose a longer segment")
     return points

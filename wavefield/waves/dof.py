@@ -78,7 +78,7 @@ def expected_segment_correlation(power: Array, count: int) -> Array:
         return np.asarray(ndimage.convolve1d(spectrum, response, axis=1, mode="constant"))
 
     def spread(ratio: Array) -> Array:
-        """Weighted sum of a ratio over the lines to which a wave contributes, at each frequency of `fine`."""
+        """Return the sum of a ratio over the lines that a wave reaches, at each frequency of `fine`."""
         between_lines = np.zeros((len(ratio), fine.size))
         between_lines[:, ::between] = ratio
         return windowed(between_lines)
@@ -109,8 +109,8 @@ def hann_autocorrelation(lag: Array) -> Array:
 def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
     """Return the variance of a mean over segments relative to independent segments, for wave packets.
     It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K = `count` segments of `duration` T. c is the
-    overlap of Hann windows, in time and over `lengths` (m) along x and y, for packets that move at `velocity`
-    (two, m/s)."""
+    overlap of Hann windows, in time and over `lengths` (m), for packets with `velocity` (m/s), both along x
+    and y."""
     s = np.linspace(-1, 1, 41)  # more points change nothing
     in_time = hann_autocorrelation(s)
     out, alone = np.ones_like(velocity[0]), np.ones(())
@@ -177,8 +177,8 @@ def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) ->
 
 def independent_nodes(lines: Array, number: Array) -> Array:
     """Return the number of independent waves at each frequency, (tr C)^2 / |C|^2, without bias, (n,).
-    C is the covariance between nodes of `lines` (segments, nodes, n), of which `number` segments are
-    independent."""
+    C is the covariance between nodes, from `lines` (segments, nodes, n) with `number` independent
+    segments."""
     total = (np.abs(lines) ** 2).sum(axis=(0, 1))
     covariance = np.einsum("spn,sqn->npq", lines.conj(), lines, optimize=True)
     rank = total**2 / np.maximum((np.abs(covariance) ** 2).sum(axis=(1, 2)), 1e-300)
@@ -188,7 +188,7 @@ def independent_nodes(lines: Array, number: Array) -> Array:
 
 
 def of_products(dof: Mapping[str, Array], power: Array, dof_omega: Array) -> dict[str, Array]:
-    """Return degrees of freedom of the nonlinear term, by axes: its own `dof`, reduced by those of the waves.
+    """Return the degrees of freedom of the nonlinear term: its own, `dof`, reduced by those of the waves.
     Its energy is quadratic in that of the waves, whose relative variance therefore counts four times. `power`
     and `dof_omega`, both (lines,), are of E(omega) of the waves."""
     total = sum_freedom(power[:, None], dof_omega[:, None], hann_correlation(power.size))
@@ -235,8 +235,8 @@ def independent_samples(
 ) -> dict[str, Array]:
     """Return the number N of independent samples of a cross spectrum, "both", and of its sum over omega, "k".
     For unrelated fields, the mean of |S_ab|^2 is E_a E_b / N. N follows from the mean of |A|^2 |B|^2, in a
-    cell (1 + gamma^2) times the product of the mean powers of A and B, with the coherence gamma. Segments of
-    the nonlinear term nl, which does not follow the dispersion relation, are correlated by their overlap
+    cell (1 + gamma^2) times the product of the mean powers of A and B, with the coherence gamma. The
+    nonlinear term does not follow the dispersion relation: its segments are correlated by their overlap
     only."""
     product = sums[first][0] * sums[second][0]
     power, there = np.sqrt(product), product > 0

@@ -75,8 +75,8 @@ def _white(noise: Array, use: Array) -> Array:
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    """Return the frequency, Hz, to which a spectrum is valid without a gap from its peak, and its decades.
-    `valid` and `signal` are (omega,); the decades are those by which the signal falls from peak to end."""
+    """Return the frequency, Hz, up to which a spectrum is valid from its peak on, and the decades it falls.
+    `valid` and `signal` are (omega,)."""
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
@@ -256,8 +256,8 @@ def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
 ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
     """Return energies, masks of trusted cells and uncertainties by gains: four arrays (omega, k) of each.
-    They are in the order of `METHODS`. With `undo`, noise is subtracted, gains are corrected, and other cells
-    are 0."""
+    They are in the order of `METHODS`. With `undo`, noise and gains are corrected, and untrusted cells are
+    0."""
     best, remaining, std_best = _best(spectra, noise, gains)
     with np.errstate(divide="ignore", invalid="ignore"):
         signals = (

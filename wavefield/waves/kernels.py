@@ -232,7 +232,7 @@ def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
 @_loose
 def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: Array, counts: Array) -> None:
     """Add the powers 1 to 4 of values (steps, nodes) minus ``mean`` to ``sums`` (4, nodes).
-    ``counts`` is a histogram of the values: ``per_unit`` bins per unit, the second of which begins at
+    ``counts`` is a histogram of ``per_unit`` bins per unit of the values; its second bin begins at
     ``low``."""
     last = counts.size - 1
     for r in range(values.shape[0]):

@@ -89,7 +89,7 @@ def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict
 def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -> dict[str, Array]:
     """Return sums over the steps of fields (steps, ny, nx), by name.
     For each field ``powers <field>`` (4, nodes) and a histogram ``counts <field>``; ``steps``; and
-    ``slopes``, the sum of the squared slopes of z and the number of nodes in it."""
+    ``slopes``, the sum of the squared slopes of z and the number of values in it."""
     out: dict[str, Array] = {}
     for name, values in fields.items():
         mean, std = scales[name]
@@ -124,7 +124,7 @@ def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
 
 
 def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, float]) -> Array:
-    """Return the density (bins,) of (value - mean) / pdf_std, from counts in bins by the rough `scale`."""
+    """Return the density (bins,) of (value - mean) / pdf_std, from `counts` in bins of a rough `scale`."""
     edges = np.linspace(-REACH, REACH, BINS + 1)
     if not moments["pdf_std"] > 0:
         return np.full(BINS, np.nan)
@@ -250,7 +250,8 @@ def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma
 def _statistics_group(
     moments: xr.Dataset, fused: xr.Dataset, spectra: xr.Dataset, welch: Welch, depth: float, gamma: float
 ) -> Noted:
-    """Return the group `statistics` of an analysis, with notes on outliers and on a short record."""
+    """Return the group `statistics` of an analysis, with notes on outliers and on a record that is too short.
+    `moments` is from `label`, `fused` from `fused_spectra`, and `spectra` the group of that name."""
     notes = []
     outliers = zip(moments["quantity"].values, moments["n_outliers"].values)
     found = {str(q): int(n) for q, n in outliers if n}

@@ -136,7 +136,7 @@ def kinematics_at(snapshot: xr.Dataset) -> xr.Dataset:
 def balance(
     fields: Mapping[str, Array], i: int, dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, float]:
-    """Return the rms over the nodes, at step `i`, of w, z_t, nonlinear term, residual, ..., by name."""
+    """Return the rms over nodes, at step `i`, of w, z_t, nonlinear, residual, vorticity and divergence."""
     step = {name: fields[name][i].astype(float) for name in FIELDS}
     parts = terms(step, dy, dx, current)
     values = {

@@ -230,8 +230,7 @@ def all_finite(block: np.ndarray) -> bool:
 
 def outside_holes(finite: np.ndarray) -> np.ndarray:
     """Return a mask (steps, ny, nx) that is True outside holes, from the mask `finite` of measured nodes.
-    A hole is covered by squares of missing nodes, `HOLE_SIDE` a side; nodes beyond an edge count as
-    missing."""
+    Squares of missing nodes, `HOLE_SIDE` a side, cover a hole; nodes beyond an edge count as missing."""
     side = np.ones((1, HOLE_SIDE, HOLE_SIDE), bool)
     holes = np.zeros_like(finite)
     for axis in (1, 2):  # one axis at a time, or a single missing node in a corner would be a hole

@@ -36,9 +36,8 @@ ROUNDS = 8  # rounds of learning; in the last, spectra change by a few per cent
 
 class PlaneWaves:
     """Linear model of z, u, v and the rate of rise: free waves on a current, plus a constant per field.
-    An array of the n unknowns, complex amplitudes and constants, holds the n real, then the n imaginary
-    parts. The wave vectors lie on rings of |k|, closer than the resolution, so that the fields need not be
-    periodic."""
+    An array of unknowns holds the real, then the imaginary parts of n amplitudes and constants. The wave
+    vectors lie on rings of |k|, closer than the resolution, so that the fields need not be periodic."""
 
     def __init__(
         self, shape: tuple[int, int], step: float, times: Array, current: Array, depth: float, gamma: float
@@ -189,10 +188,9 @@ class Learned:
 
 
 def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array) -> Learned:
-    """Estimate spectrum and noise from sample windows (fields, times, ny, nx), 0 outside `mask`.
+    """Return spectrum and noise, from sample windows (fields, times, ny, nx) that are 0 outside `mask`.
     In each round of expectation maximisation, the variance of a ring becomes the mean square of its
-    amplitudes plus their posterior variance. ``variance`` (fields,) is that of the noise stored in the
-    cube."""
+    amplitudes plus their posterior variance. ``variance`` (fields,) is that of the noise by the cube."""
     products = waves.products(mask)
     # the noise that resembles waves is estimated on an orthogonal basis of all plane waves
     basis = waves.basis[mask.ravel()]
@@ -270,8 +268,9 @@ class _Smoother:
         self._fits: dict[int, tuple[Posterior, Array]] = {}
 
     def parts(self, window: Array) -> tuple[Array, Array, Array]:
-        """Return z, u, v, rate of rise, their variances, each (4, times, ny, nx), and the measured nodes.
-        `window` (9, times, ny, nx) holds z, u, v, w, their standard uncertainties and the quality."""
+        """Return z, u, v and rate of rise, their variances, and a mask of measured nodes: three arrays.
+        The first two are (4, times, ny, nx). `window` (9, times, ny, nx) is z, u, v, w, their uncertainties,
+        quality."""
         z, u, v, w = window[:4].astype(float)
         z_y, z_x = slopes(z, self.step, self.step)
         fields = np.stack([z, u, v, w - u * z_x - v * z_y])
@@ -282,8 +281,8 @@ class _Smoother:
 
     def study(self, windows: list[Array]) -> None:
         """Learn spectrum and noise from sample windows (9, times, ny, nx), as in `parts`; they set `learned`.
-        Raises CubeError if in the better half of the windows less than a quarter of the nodes is always
-        measured."""
+        Raises CubeError if less than a quarter of the nodes is always measured in the better half of the
+        windows."""
         parts = [self.parts(window) for window in windows]
         shares = [there.mean() for _, _, there in parts]
         parts = [parts[i] for i in np.argsort(shares, kind="stable")[len(parts) // 2 :]]

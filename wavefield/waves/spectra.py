@@ -120,7 +120,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
 
 
 def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dataset:
-    """Return E(omega, ky, kx), `values`, of a field with this name and these units, and its interval."""
+    """Return `values`, E(omega, ky, kx) of a field with this name and these units, with its interval."""
     low, high = interval(welch.dof)
     parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}
     out = xr.Dataset(parts, coords=omega_coords(welch.omega) | welch.plane, attrs=welch.attrs)
@@ -202,7 +202,7 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
 
 
 def _attrs_of_sum(given: xr.DataArray | xr.Dataset, axis: str) -> dict[str, Any]:
-    """Return the attributes, name and units, of E(omega) or E(k); `given` is the E(k, omega) it is from."""
+    """Return attributes (name and units) for E(omega) or E(k), sums of `given`, a result of `komega`."""
     if "field" not in given.attrs:  # several quantities of an analysis
         return TABLE[f"spectra/E_{axis}"].attrs
     return TABLE[f"{axis}/E"].of(given.attrs["field"], density_units(given.attrs["field_units"], axis))
@@ -315,7 +315,7 @@ def plane_of(field: str, segment: int | None = None) -> Convert:
 
 
 def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> xr.DataArray:
-    """Return E(omega, ky, kx) of the field `name` from the sums of an analysis, of which it is removed."""
+    """Return E(omega, ky, kx) of the field `name`, whose sums it takes out of those of an analysis."""
     power = sums.pop(f"map {name}")  # frees memory: no other product needs it
     values = xr.Variable(("omega", "ky", "kx"), density(power, welch))
     return plane_density(values, FIELD_TEXTS[name], FIELD_UNITS[name], welch)["E"]

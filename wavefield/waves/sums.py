@@ -70,7 +70,7 @@ def transforms(
 ) -> dict[str, Array]:
     """Return the spatial transforms (cells, steps) of the quantities in half a segment, by name.
     "points <name>" (nodes, steps) holds values at 16 nodes, and "nodes" (pairs, steps) those at all nodes,
-    two in each complex number. `fields` is emptied, to free memory, and the transforms in `memory` are
+    two in each complex number. `fields` is emptied to free memory; the transforms in `memory` are
     overwritten."""
     out, memory, names = {}, memory or {}, requested.names
     if {"nl", "rise"} & {*names}:

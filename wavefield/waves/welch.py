@@ -63,7 +63,7 @@ def degrees_of_freedom(segments: float) -> float:
 
 
 def interval(dof: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the factors from a spectrum to the low and the high limit of its 95 % interval, as `dof`."""
+    """Return two factors, shaped like `dof`: the low and high limit of a 95 % interval over the spectrum."""
     dof = np.asarray(dof, float)
     unique, index = np.unique(dof, return_inverse=True)  # many cells have the same number
     quantiles = 1 - CHANCE / 2, CHANCE / 2  # of chi-squared
@@ -336,7 +336,7 @@ class Welch:
 
     @cached_property
     def table(self) -> rings.Rings:
-        """Rings of |k| of the rectangle of nodes."""
+        """Rings of |k|, and the area fractions of the cells of the k plane of the rectangle in them."""
         record = self.record
         return rings.rings(*record.shape, record.dy, record.dx)
 
@@ -416,7 +416,7 @@ class Welch:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes of every spectrum: windows, segments, record and conventions."""
+        """Attributes of every spectrum, such as ``segments``, ``degrees_of_freedom`` and ``dt``."""
         record = self.record
         return {
             "estimator": "Welch, Hann windows in t, y and x, half overlap, mean and trend removed",
