@@ -12,7 +12,7 @@ Terms:
 * score s: sums over a block of gx r and gy r, with g the image gradient; 0 where the block alone fits best;
 * Hessian H: sums over a block of gx gx, gx gy, gy gy; the block's own correction of d is H^-1 s;
 * noise of the scores nu: their variance per unit of H;
-* information A = H / nu: inverse variance of the block's own displacement; a hole has A = 0;
+* information A = H / nu: inverse variance of the block's own displacement; in a hole, A is 0 or small;
 * footprint F: gain, against wavenumber, of the area that the value of a block averages over;
 * prior: the spectrum S of the field, learned once per record, with the typical information of a block;
 * MAP field (maximum a posteriori): the most probable field, given the scores of all blocks and the prior;

@@ -28,7 +28,7 @@ njit = compiled(error_model="numpy")
 
 @lru_cache(maxsize=64)
 def gaussian(sigma: float) -> np.ndarray:
-    """Weights of a Gaussian of `sigma` blocks, cut at 2.7 sigma, sum 1."""
+    """Return the weights, with sum 1, of a Gaussian of `sigma` blocks, cut at 2.7 sigma."""
     reach = max(1, int(np.ceil(2.7 * sigma)))
     weights = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * sigma**2))
     out: np.ndarray = (weights / weights.sum()).astype(np.float32)
@@ -36,19 +36,21 @@ def gaussian(sigma: float) -> np.ndarray:
 
 
 def window_weights(window: float) -> np.ndarray:
-    """Return the weights over blocks, on one axis, of the Gaussian with the area of a square `window` px."""
+    """Return the weights, along one axis of the lattice, of the Gaussian window.
+    It has the area of a square of `window` px."""
     return gaussian(float(window / np.sqrt(4 * np.pi) / BLOCK))
 
 
 def filtered(field: np.ndarray, weights: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-    """Convolve a field with the same weights along x and y; the border is replicated."""
+    """Convolve a field (ny, nx) along x and y with the same weights; its edge values continue beyond it.
+    The result is returned, and written to `out` if that is given."""
     return cv2.sepFilter2D(field, -1, weights, weights, dst=out, borderType=BORDER)
 
 
 def smoothed(
     field: np.ndarray, sigma: float, order: int, weighting: tuple[np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:
-    """Smooth a field f (ny, nx) by 1 - (1 - G)^order, with G a Gaussian of `sigma` blocks; 0 does nothing.
+    """Smooth a field f (ny, nx) by 1 - (1 - G)^order, with G a Gaussian of `sigma` blocks; not if sigma is 0.
     With `weighting` from `smoother_weights`, G is the weighted mean G(w f) / G(w)."""
     if sigma == 0:
         return field
@@ -69,13 +71,15 @@ def smoothed(
 
 
 def smoother_weights(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weights w (ny, nx) of the blocks, and 1 / G(w), with G a Gaussian of `sigma` blocks."""
+    """Return the argument `weighting` of `smoothed`: the weights w (ny, nx) of the blocks, and 1 / G(w).
+    G is a Gaussian of `sigma` blocks."""
     return weight, F(1) / np.maximum(filtered(weight, gaussian(sigma)), F(1e-3))
 
 
 def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.ndarray:
     """Return du/dx, du/dy, dv/dx, dv/dy per px, (4, ny, nx), by differences of sixth order.
-    u, v (ny, nx), px, are averages over an area of this variance, px^2, for which slopes are corrected."""
+    u, v (ny, nx), px, are averages around each block over an area with the variance `averaged_variance`,
+    px^2; the slopes are corrected for this averaging."""
     side = 0.5 * averaged_variance / BLOCK**2
     sharpened = np.array([-side, 1.0 + 2.0 * side, -side])
     difference = np.convolve(_DIFFERENCE, sharpened)
@@ -92,7 +96,9 @@ def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.n
 
 @njit
 def _extend_oddly(field: np.ndarray, margin: int, out: np.ndarray) -> None:
-    """Copy a field into `out` and extend it by odd reflection about its edge values, keeping the slope."""
+    """Copy a field (ny, nx) into the middle of `out`, with a margin of `margin` blocks on each side.
+    The margin is the odd reflection of the field about its edge values, which keeps its slope at the
+    edges."""
     ny, nx = field.shape
     for j in range(ny):
         row, to = field[j], out[margin + j]
@@ -112,8 +118,9 @@ def _extend_oddly(field: np.ndarray, margin: int, out: np.ndarray) -> None:
 
 @njit
 def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) -> None:
-    """Correct scores (2, ny, nx), in place, for the displacement gradients `slope` (4, ny, nx) inside blocks.
-    `moments` (9, ny, nx) comes from `gradient_moments`."""
+    """Subtract from scores (2, ny, nx), in place, what displacement gradients inside the blocks add.
+    `slope` (4, ny, nx) are the gradients du/dx, du/dy, dv/dx, dv/dy; `moments` (9, ny, nx) come from
+    `gradient_moments`."""
     _, ny, nx = sums.shape
     for j in range(ny):
         sx, sy = sums[0, j], sums[1, j]
@@ -128,8 +135,9 @@ def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) ->
 def subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float]:
-    """Remove from scores (2, ny, nx), in place, what strain of beads adds (`reevaluate`); return c and s^2.
-    `moments` (8, ny, nx) comes from `strain_moments`; `count` (ny, nx) is 1 for usable blocks, else 0."""
+    """Subtract from scores (2, ny, nx), in place, what strain of cut beads adds; return factors c and s^2.
+    `reevaluate` explains them. `moments` (8, ny, nx) come from `strain_moments`, `slope` (4, ny, nx) are
+    displacement gradients, and `count` (ny, nx) is 1 for usable blocks, else 0."""
     aa, ab, bb, ra, rb = _strain_products(sums, moments, slope, count)
     determinant = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
     c = min(max((ra * bb - rb * ab) / determinant, 0.0), 1.0)
@@ -140,8 +148,9 @@ def subtract_strain(
 
 @njit
 def _strains(moments: np.ndarray, slope: np.ndarray, j: int, i: int) -> Any:
-    """Return four scores that strain adds to block (j, i), without their coefficients.
-    The first two (x, y) come from the brightness of the image, the others from its second derivatives."""
+    """Return x and y of the first, then of the second term that strain adds to the score of block (j, i).
+    The first comes from the brightness of the image, the second from its second derivatives. Both lack their
+    factors c and s^2 (`subtract_strain`, which describes the arguments)."""
     ux, shear, vy = slope[0, j, i], slope[1, j, i] + slope[2, j, i], slope[3, j, i]
     divergence = ux + vy
     return (
@@ -156,8 +165,9 @@ def _strains(moments: np.ndarray, slope: np.ndarray, j: int, i: int) -> Any:
 def _strain_products(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float, float, float, float]:
-    """Return a a, a b, b b, r a, r b, summed over usable blocks, for a fit of the terms a, b of `_strains`.
-    r are the scores `sums` (2, ny, nx); `count` (ny, nx) is 1 for usable blocks, else 0."""
+    """Return the sums over usable blocks of a.a, a.b, b.b, r.a, r.b, for a least-squares fit r = c a + s^2 b.
+    a and b are the two terms of `_strains`, r the scores `sums` (2, ny, nx); `count` (ny, nx) is 1 for usable
+    blocks."""
     aa = ab = bb = ra = rb = 0.0
     for j in range(count.shape[0]):
         for i in range(count.shape[1]):
@@ -176,7 +186,7 @@ def _strain_products(
 def _subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray, c: F, s2: F
 ) -> None:
-    """Subtract c times the first and s2 times the second term of `_strains` from `sums`, in place."""
+    """Subtract c times the first and s2 times the second term of `_strains` from scores `sums`, in place."""
     for j in range(count.shape[0]):
         for i in range(count.shape[1]):
             a, b, p, q = _strains(moments, slope, j, i)
@@ -194,8 +204,9 @@ def step(
     u: np.ndarray,
     v: np.ndarray,
 ) -> None:
-    """Add relaxation (H + ridge)^-1 s, at most `limit` px along each axis, to u, v in every block, in place.
-    h (3, ny, nx) is xx, xy, yy of the Hessian H, and s (2, ny, nx) the scores, summed over windows."""
+    """Add relaxation (H + ridge)^-1 s to u, v (ny, nx), px, in every block, in place: one Gauss-Newton step.
+    h (3, ny, nx) is xx, xy, yy of the Hessian H, and s (2, ny, nx) the scores, both summed over windows. The
+    step along each axis is at most `limit` px."""
     ny, nx = u.shape
     for j in range(ny):
         xx, xy, yy, sx, sy = h[0, j], h[1, j], h[2, j], s[0, j], s[1, j]
@@ -208,8 +219,8 @@ def step(
 
 
 def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
-    """Replace outliers in u, v, in place, by the median of 5 x 5 blocks; return their mask (ny, nx).
-    A block is an outlier if its distance from the median, |du| + |dv|, is more than `limit` px."""
+    """Replace outliers in u, v (ny, nx), px, in place, by the median of 5 x 5 blocks; return their mask.
+    A block is an outlier if |u - median of u| + |v - median of v| is more than `limit` px."""
     median_u, median_v = cv2.medianBlur(u, 5), cv2.medianBlur(v, 5)
     outlier: np.ndarray = np.abs(u - median_u) + np.abs(v - median_v) > F(limit)
     np.copyto(u, median_u, where=outlier)
@@ -225,7 +236,8 @@ def _doubling_maps(coarse: tuple[int, int], fine: tuple[int, int]) -> tuple[np.n
 
 
 def to_finer(field: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Interpolate a displacement, px, to the next finer level with `shape` (ny, nx), where it is doubled."""
+    """Interpolate a displacement component, px, to the next finer pyramid level with `shape` (ny, nx) blocks.
+    Its values are doubled, because a pixel of the finer level is half as large."""
     x, y = _doubling_maps(field.shape, shape)
     return cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=BORDER) * F(2)
 
@@ -241,8 +253,9 @@ def block_weights(
     out: np.ndarray,
     block: int = BLOCK,
 ) -> None:
-    """Write 1 to out (ny, nx) for blocks that the displacement u, v, px, leaves inside image b, unmasked.
-    Other blocks get 0. Masks (h, w) are 1 where the whole block around a pixel is usable; empty: no mask."""
+    """Write 1 to out (ny, nx) for blocks that are usable at the displacement u, v (ny, nx), px, else 0.
+    A block is usable if it ends up inside image b (`height`, `width`) and is masked in neither image. Masks
+    (h, w) are 1 where all of the block around a pixel is usable; an empty mask masks nothing."""
     ny, nx = u.shape
     for j in range(ny):
         for i in range(nx):
@@ -271,10 +284,11 @@ def noise_of_scores(
 ) -> Float:
     """Return the noise nu of the scores of blocks, (ny, nx): their variance per unit of their Hessian.
 
-    `score` is (c, ny, nx), `trace` (ny, nx) that of the Hessian, `counts` 1 for usable blocks. nu is the
-    squared score of clusters of 5 x 5 blocks over their trace, smoothed over 6 blocks, over the fraction
-    `freedom` that a fit leaves. Where the trace is small, nu approaches the image's mean, or median if
-    `with_mismatches`.
+    `score` is (c, ny, nx), `trace` (ny, nx) the trace of the Hessian, `counts` (ny, nx) 1 for usable blocks,
+    else 0. nu is the squared score of clusters of 5 x 5 blocks over their trace, both smoothed over 6 blocks,
+    divided by `freedom`, the fraction of the variance that a fit leaves. Where the trace is small, nu
+    approaches a typical value of the image: the mean, or the median if `with_mismatches`, because blocks that
+    do not match would raise the mean.
     """
     complete = (_clusters(counts) > CLUSTER**2 - 0.5).astype(np.float32)
     square = np.zeros_like(trace)
@@ -296,8 +310,9 @@ def noise_of_scores(
 
 
 def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
-    """Return a weight of each block, (ny, nx), below 1 where scores are far above the noise around.
-    That is at edges of objects and where beads enter or leave. Arguments: see `noise_of_scores`."""
+    """Return a weight of each block, (ny, nx), 1 in general, smaller where scores far exceed noise around.
+    Such scores occur at edges of objects and where beads enter or leave. `noise_of_scores` describes the
+    arguments."""
     square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
     information = _clusters(trace * counts)
     least = F(HOLE_INFORMATION) * information.mean()
@@ -314,21 +329,22 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
-    """Return a mask (ny, nx) of blocks in holes, where 7 x 7 blocks have little information on average.
-    That is at most 0.15 of the typical one. `information` (ny, nx) is the inverse variance of each block."""
+    """Return a mask (ny, nx), True for blocks in holes: the mean information of 7 x 7 blocks is small there.
+    It is at most 0.15 of the typical information. `information` (ny, nx) is the inverse variance of each
+    block's value."""
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )
 
 
 def _clusters(field: Float) -> Float:
-    """Return the sums of a field (ny, nx) over 5 x 5 blocks around every block, (ny, nx)."""
+    """Return, for every block, the sum of a field (ny, nx) over the 5 x 5 blocks around it, (ny, nx)."""
     size = (CLUSTER, CLUSTER)
     return cv2.boxFilter(field, cv2.CV_32F, size, normalize=False, borderType=cv2.BORDER_REFLECT)
 
 
 def _smoothed(field: Float) -> Float:
-    """Smooth a field (ny, nx) with a Gaussian of 6 blocks; the result has half as many rows and columns."""
+    """Smooth a field (ny, nx) by a Gaussian of 6 blocks; the result has half as many rows and columns."""
     ny, nx = field.shape  # clusters around neighbouring blocks overlap, so every second one suffices
     half = cv2.resize(field, ((nx + 1) // 2, (ny + 1) // 2), interpolation=cv2.INTER_AREA)
     return cv2.GaussianBlur(half, (0, 0), 0.5 * SMOOTHING_RADIUS, borderType=cv2.BORDER_REFLECT)

@@ -71,8 +71,9 @@ def work_space(nx: int) -> WorkSpace:
 
 @njit
 def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
-    """Smooth row y of an image with border along y by the quintic B-spline (s), and differentiate it (d).
-    s and d (w + 4) start two pixels left of the image."""
+    """Smooth row y of an image along y by the quintic B-spline, into s, and differentiate it along y, into d.
+    `image` includes its border of PAD pixels; s and d (w + 4,) start two pixels left of the image without
+    border."""
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
     d1, d2 = F(10 / 24), F(1 / 24)
     r0, r1, r2 = image[y + PAD - 2][PAD - 2 :], image[y + PAD - 1][PAD - 2 :], image[y + PAD][PAD - 2 :]
@@ -84,7 +85,7 @@ def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
 
 @njit
 def _value(s: Array, x: int) -> np.float32:
-    """Return the value of the spline along the row s at pixel x; s starts two pixels left of the image."""
+    """Return the spline at pixel x of a row s, smoothed along y, that starts two pixels left of the image."""
     out: np.float32 = (
         F(66 / 120) * s[x + 2] + F(26 / 120) * (s[x + 1] + s[x + 3]) + F(1 / 120) * (s[x] + s[x + 4])
     )
@@ -93,14 +94,15 @@ def _value(s: Array, x: int) -> np.float32:
 
 @njit
 def _slope(s: Array, x: int) -> np.float32:
-    """Return the derivative along x of the spline along the row s, at pixel x."""
+    """Return the derivative along x of the spline at pixel x of a row s, as in `_value`."""
     out: np.float32 = F(10 / 24) * (s[x + 3] - s[x + 1]) + F(1 / 24) * (s[x + 4] - s[x])
     return out
 
 
 @njit
 def _spline_row(image: Array, y: int, rows: Array, n: int) -> None:
-    """Write n smoothed pixels of row y of an image to rows[2], gradients along x and y to rows[3], [4]."""
+    """Write the first n pixels of row y of an image, smoothed, to rows[2], their gradients to rows[3:5].
+    Gradients are along x, then y. `image` includes its border; rows[0] and rows[1] are overwritten."""
     s, d = rows[0][: n + 4], rows[1][: n + 4]
     a, gx, gy = rows[2][:n], rows[3], rows[4]
     _spline_columns(image, y, s, d)
@@ -122,8 +124,9 @@ def _fold(row: Array, out: Array) -> None:
 
 @njit
 def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
-    """Write the sums of gx gx, gx gy, gy gy over each block to out[:3]; times x to [3:6], times y to [6:].
-    x, y is the distance of a pixel from the centre of its block, px; out is (9, ny, nx)."""
+    """Write block sums of G = (gx gx, gx gy, gy gy) to out[:3], of x G to out[3:6] and of y G to out[6:].
+    gx, gy are the gradients of `image` (with border); x, y are a pixel's distances from the centre of its
+    block, px; out is (9, ny, nx)."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -156,7 +159,7 @@ def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
 
 @inlined
 def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
-    """Do what `_spline_columns` does, and write the second derivative along y to e (w + 4)."""
+    """Do what `_spline_columns` does, and also write the second derivative along y to e (w + 4,)."""
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
     d1, d2 = F(10 / 24), F(1 / 24)
     r0, r1, r2 = image[y + PAD - 2][PAD - 2 :], image[y + PAD - 1][PAD - 2 :], image[y + PAD][PAD - 2 :]
@@ -170,14 +173,15 @@ def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
 
 @inlined
 def _bend(s: Array, x: int) -> np.float32:
-    """Return the second derivative along x of the spline along the row s, at pixel x."""
+    """Return the second derivative along x of the spline at pixel x of a row s, as in `_value`."""
     out: np.float32 = F(2 / 6) * (s[x + 1] + s[x + 3]) + F(1 / 6) * (s[x] + s[x + 4]) - s[x + 2]
     return out
 
 
 @inlined
 def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None:
-    """Add a row of pixels, smoothed along y (s) with derivatives d, e, to the eight `strain_moments`."""
+    """Add the eight products of `strain_moments`, for each pixel of a row, to the eight arrays `totals`.
+    s, d, e are the row smoothed along y, its first and its second derivative along y (`_spline_bends`)."""
     s0, s1, s2, s3, s4, s5, s6, s7 = totals  # loops over slices that are made here do not vectorise
     for x in range(len(s0)):
         p, q, a = _slope(s, x), _value(d, x), _value(s, x)
@@ -194,8 +198,9 @@ def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None
 
 @njit
 def strain_moments(image: Array, work: WorkSpace, out: Array) -> None:
-    """Write sums over each block of gx a, gy a, gx a_xx, gx a_xy, gx a_yy, gy a_xx, gy a_xy, gy a_yy.
-    gx, gy are the gradients of the image a; out is (8, ny, nx)."""
+    """Write sums over each block of gx a, gy a, gx a_xx, gx a_xy, gx a_yy, gy a_xx, gy a_xy, gy a_yy to out.
+    gx, gy are the gradients of `image` a (with border), a_xx, a_xy, a_yy its second derivatives; out is (8,
+    ny, nx)."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -222,8 +227,8 @@ def _block_reader(
     along_y: types.Type,
 ) -> tuple[Signature, Callable[..., ir.Value]]:
     """Generate the LLVM code of `_read_block`, which samples BLOCK rows of LANES pixels of `image`.
-    It reads from element `start` of rows of length `stride`, with TAPS weights along x, then y, and writes
-    from element `to` of rows of length `width`."""
+    The code reads from element `start` on, in rows of `stride` elements, with TAPS weights `along_x` and
+    `along_y`. It writes to `strip` from element `to` on, in rows of `width` elements."""
 
     def build(
         context: BaseContext, builder: ir.IRBuilder, signature: Signature, arguments: Sequence[ir.Value]
@@ -273,7 +278,9 @@ _read_block: Callable[..., None] = numba.extending.intrinsic(_block_reader)
 
 @njit
 def _spline_taps(position: Array, whole: Array, taps: Array) -> None:
-    """Split positions (n,), px, into `whole` pixels (n,) and spline weights `taps` (6, n) of the rest."""
+    """Split positions (n,), px, into whole pixels and fractions.
+    The whole pixels are written to `whole` (n,), the six spline weights for the fractions to `taps` (6,
+    n)."""
     for b in range(len(position)):
         low = np.floor(position[b])
         f = position[b] - low
@@ -291,13 +298,13 @@ def _spline_taps(position: Array, whole: Array, taps: Array) -> None:
 
 @njit
 def _get(taps: Array, b: int) -> tuple[np.float32, ...]:
-    """Return the six spline weights of block b as a tuple, which stays in registers."""
+    """Return the six spline weights of block b as a tuple, which the compiler keeps in registers."""
     return taps[0, b], taps[1, b], taps[2, b], taps[3, b], taps[4, b], taps[5, b]
 
 
 @njit
 def _spread(values: Array, out: Array) -> None:
-    """Write the value of each block to its BLOCK pixels in a row of pixels `out`."""
+    """Write the value of each block, `values` (nx,), to its BLOCK pixels in a row of pixels `out`."""
     for b in range(len(values)):
         for k in range(BLOCK):
             out[b * BLOCK + k] = values[b]
@@ -305,7 +312,8 @@ def _spread(values: Array, out: Array) -> None:
 
 @njit
 def _spread_ramps(slopes: Array, out: Array) -> None:
-    """Write to each block of a row a straight line of the given slope that is 0 at the block's centre."""
+    """Write to each block of a row of pixels `out` a straight line that is 0 at the centre of the block.
+    `slopes` (nx,) are the slopes of the lines per pixel."""
     for b in range(len(slopes)):
         for k in range(BLOCK):
             out[b * BLOCK + k] = slopes[b] * (F(k) - MID)
@@ -313,7 +321,8 @@ def _spread_ramps(slopes: Array, out: Array) -> None:
 
 @njit
 def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> None:
-    """Sample an image at the pixels of block row `by`, displaced by u, v (nx,), px, into `work.strip`."""
+    """Sample an image (with border) at the displaced pixels of block row `by`; write them to `work.strip`.
+    The displacement u, v (nx,), px, is constant in each block."""
     position, whole, taps, strip = work.position, work.whole, work.taps, work.strip
     nx = len(u)
     h, w = image.shape
@@ -332,7 +341,9 @@ def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> N
 
 @njit
 def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
-    """Add gx r to sums[0] and gy r to sums[1] for every pixel of a row (`plain_sums`)."""
+    """Add gx r to sums[0] and gy r to sums[1] for every pixel of a row, as `plain_sums` describes.
+    s and d are the results of `_spline_columns` for the first image; b is the row of the displaced second
+    image."""
     n = len(s) - 4
     s0, s1 = sums[0][:n], sums[1]
     for x in range(len(s0)):
@@ -344,7 +355,8 @@ def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
 @njit
 def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace, out: Array) -> None:
     """Write the scores of the blocks, sums of gx r and gy r with r = a - b(x + d), to out (2, ny, nx).
-    gx, gy are the gradients of the first image a; d = (u, v) (ny, nx), px, is constant in a block."""
+    gx, gy are the gradients of the `first` image a; the displacement d = (u, v) (ny, nx), px, from a to the
+    `second` image b is constant in a block. Both images include their borders."""
     n = u.shape[1] * BLOCK
     s, d = work.rows[0][: n + 4], work.rows[1][: n + 4]
     for by in range(len(u)):
@@ -363,8 +375,9 @@ def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace,
 
 @njit
 def _spread_slopes(slopes: Array, by: int, rows: Array) -> None:
-    """Write the gradients `slopes` (4, ny, nx) of block row `by` to pixels, in rows[5:9].
-    du/dx and dv/dx are multiplied by the distance x from the block's centre; the caller multiplies by y."""
+    """Write the displacement gradients `slopes` (4, ny, nx) of block row `by` to the pixels of rows[5:9].
+    du/dx and dv/dx are multiplied by the distance x from the block's centre; the caller multiplies du/dy and
+    dv/dy by y."""
     _spread_ramps(slopes[0, by], rows[5])
     _spread(slopes[1, by], rows[6])
     _spread_ramps(slopes[2, by], rows[7])
@@ -381,8 +394,9 @@ def _residual_row(
     r: Array,
     sums: tuple[Array, ...],
 ) -> None:
-    """Write the smoothed pixels a and residuals r of a row, y px below its blocks' centre; add its scores.
-    `splines` are s and d of `_spline_columns`; `slopes` are from `_spread_slopes`; b is the second image."""
+    """Write a row of smoothed pixels to a and of residuals to r; add gx r and gy r to the two arrays `sums`.
+    The row lies y px below the centre of its blocks. `splines` are s and d of `_spline_columns`, `slopes` the
+    four rows of `_spread_slopes`, and b is the row of the displaced second image."""
     s, d = splines
     ux, uy, vx, vy = slopes
     s0, s1 = sums
@@ -397,8 +411,9 @@ def _residual_row(
 
 @njit
 def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
-    """Sum r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 over BLOCK rows, for each column of pixels.
-    a and r are (BLOCK, n + 4); ga, gb are differences along x of the first image a and the second, a - r."""
+    """Write sums over BLOCK rows of r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 to the arrays `totals`.
+    There is one sum for each column of pixels. The rows a (first image) and r = a - b (residual) start one
+    pixel left of the image; ga, gb are the differences a[x + 1] - a[x - 1] of the two images."""
     s5, s6, s7, s8, s9, s10, s11 = totals
     for x in range(len(s5)):
         rr = sa = aa = sr = ar = ab = mm = F(0)
@@ -426,9 +441,9 @@ def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
 def final_sums(
     first: Array, second: Array, u: Array, v: Array, slopes: Array, work: WorkSpace, out: Array
 ) -> None:
-    """Write sums over each block to out (12, ny, nx): scores in 0 and 1, moments from 5 on.
-    Planes 2 to 4 are left to the caller. The moments are those of `_strip_sums`; the displacement u, v
-    (ny, nx), px, is that of the block's centre, and has the gradients `slopes` (4, ny, nx)."""
+    """Write sums over each block to out (12, ny, nx): two scores in planes 0 and 1, moments from plane 5 on.
+    Planes 2 to 4 are left to the caller. `_strip_sums` lists the moments. The displacement u, v (ny, nx), px,
+    of the blocks' centres has the gradients `slopes` (4, ny, nx): du/dx, du/dy, dv/dx, dv/dy."""
     n = u.shape[1] * BLOCK
     rows, sums = work.rows, work.sums
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
@@ -456,8 +471,9 @@ def final_sums(
 
 @njit
 def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.int32, out: Array) -> None:
-    """Write to `out` where each pixel of a row would climb: the index of the brightest of 3 x 3 pixels.
-    The rows start one pixel left of the image, of `width` px; `first` is the index of the first pixel."""
+    """Write to `out`, for each pixel of a row, the flat index of the brightest of the 3 x 3 pixels around it.
+    The rows `above`, `row` and `below` start one pixel left of the image, which is `width` px wide; `first`
+    is the flat index of the row's first pixel in the image without border."""
     for x in range(len(out)):
         at = np.int32(first + x)
         best, to = row[x + 1], at
@@ -475,8 +491,8 @@ def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.i
 
 @njit
 def bead_blocks(image: Array, out: Array) -> None:
-    """Write to out (h, w) the number of the block that contains the top of each pixel's bead.
-    The border of `image` must be darker than the image."""
+    """Write the block to which each pixel belongs to out (h, w): that with the brightest point of its bead.
+    Blocks are counted row by row. The border of `image` must be darker than the image."""
     h, w = out.shape
     for y in range(h):
         r = y + PAD
@@ -505,7 +521,8 @@ def bead_blocks(image: Array, out: Array) -> None:
 @njit
 def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> None:
     """Write sums of gx gx, gx gy, gy gy over the whole beads of each block to out (ny nx, 3).
-    `block` (h, w) comes from `bead_blocks`; `image` includes its border."""
+    A bead belongs to the block of its brightest point; `block` (h, w) comes from `bead_blocks`; `image` has
+    its border."""
     h, n = block.shape
     out[:] = F(0)
     gx, gy = work.rows[3], work.rows[4]
@@ -522,7 +539,7 @@ def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> No
 def _scores_of_pixels(
     splines: tuple[Array, ...], slopes: tuple[Array, ...], b: Array, y: np.float32, to: tuple[Array, ...]
 ) -> None:
-    """Write gx r and gy r of each pixel of a row to the two arrays `to` (arguments: `_residual_row`)."""
+    """Write gx r and gy r of each pixel of a row to the two arrays `to` (arguments as in `_residual_row`)."""
     s, d = splines
     ux, uy, vx, vy = slopes
     along, down = to
@@ -545,7 +562,8 @@ def bead_scores(
     out: Array,
 ) -> None:
     """Write the scores, sums of gx r and gy r over the whole beads of each block, to out (ny nx, 2).
-    `block` (h, w) comes from `bead_blocks`; `final_sums` describes the other arguments."""
+    A bead belongs to the block of its brightest point; `block` (h, w) comes from `bead_blocks`. `final_sums`
+    describes the other arguments."""
     n = u.shape[1] * BLOCK
     rows = work.rows
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
@@ -566,8 +584,9 @@ def bead_scores(
 
 @njit
 def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
-    """Write sums of a b over each block to out (ny, shifts, nx + 2 border), for b shifted by dy rows.
-    The shifts along x are `first`, `first` + 1, ...; b has a margin, px. Edge values fill the border."""
+    """Write sums over each block of a times a shifted b to out (ny, shifts, nx + 2 border).
+    b is shifted by dy rows, and by `first`, `first` + 1, ... columns. It has a `margin`, px, which a has not;
+    `row` is scratch. The border of `out` repeats the values of the outermost blocks."""
     ny, n, width = out.shape
     nx = len(row) // BLOCK
     border = (width - nx) // 2

@@ -1,8 +1,9 @@
-"""Learn the spectrum of a field on a lattice of blocks from sample frames.
+"""Learn the prior spectrum of a field on a lattice of blocks from sample frames.
 
-`first_prior` takes the spectrum of windowed fields. `refined_prior` replaces it by that of the MAP fields
-which it gives, with their noise subtracted; this is repeated. Wavenumbers are grouped in rings, and rings in
-sectors of direction (`WavenumberRings`). A ring is significant if its power stands out from the noise.
+`first_prior` takes the spectrum of the matched fields. `refined_prior` estimates the MAP fields' spectrum,
+with their noise subtracted, and is called several times in turn with the MAP estimate. Wavenumbers are
+grouped in rings, and rings in sectors of direction (`WavenumberRings`). A ring is significant if its power
+stands out from the noise.
 """
 
 from __future__ import annotations
@@ -42,8 +43,9 @@ SLOPE_RINGS = 6  # the exponent is fitted to the last significant rings, this ma
 
 
 def first_prior(fields: Sequence[Float], information: float, area: float = FOOTPRINT_VARIANCE) -> Prior:
-    """Return the isotropic prior with the mean spectrum of windowed fields (c, ny, nx) from sample frames.
-    Holes and edge slopes (`edge_field`) are removed before. `information` is typical; `area` is in px^2."""
+    """Return the isotropic prior with the mean spectrum of matched fields (c, ny, nx) from sample frames.
+    The fields must have no holes and no slopes at the edges (`edge_field`). `information` is the typical
+    inverse variance of a block's value; `area`, px^2, is that of `Prior`."""
     binning = WavenumberRings(*wavenumbers(fields[0].shape[-2:]))
     power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
     return Prior.isotropic(binning.k, binning.mean(power).tolist(), information, area)
@@ -62,10 +64,10 @@ def refined_prior(
     variance of a block, F its footprint. With a spectrum S and noise N = 1 / (F^2 A), a MAP field has the
     gain G = S / (S + N) and the power G^2 (S + N), so S = sum(|D|^2 - G^2 N) / sum G^2 over the modes of a
     ring or of one of its sectors. In rings that do not stand out from the noise, S is the upper limit of
-    undetected waves, and after the last ring that does, a power law. Directions are averaged over
-    neighbouring rings and drawn towards uniform where modes are few. `noise_alone` are MAP fields of noise
-    only, with their information: they give the shape of the noise; its level is that of the rings with the
-    lowest power.
+    undetected waves; after the last ring that does, S is a power law. Directions are averaged over
+    neighbouring rings and drawn towards uniform where modes are few. `noise_alone` are pairs (coefficients,
+    information) of MAP fields that contain only noise. These give the noise as a function of wavenumber; its
+    magnitude comes from the rings with the lowest power.
     """
     if not information > 0:  # no block has information
         return prior
@@ -102,10 +104,12 @@ def _signals_and_noise(
     binning: WavenumberRings,
     noise_alone: Sequence[tuple[Float, float]],
 ) -> tuple[Float, Float, Float]:
-    """Return the power of waves in rings (c, rings) and sectors (c, sectors, rings), and of noise in rings.
-    All are divided by the squared gain of the MAP field. For the arguments see `refined_prior`."""
+    """Return the power of waves in rings (c, rings), in sectors (c, sectors, rings), and of noise in rings.
+    All three are divided by the squared gain of the MAP field. `foot` is the footprint F of every mode,
+    `spectrum` the old prior's; `refined_prior` describes the other arguments."""
 
     def block_noise(of: float) -> Float:
+        """Return N = 1 / (F^2 A) of every mode, for the information A = `of`."""
         return np.asarray(1.0 / (np.square(foot, dtype=np.float64) * of))
 
     rings, noise = _over_gain(waves, spectrum, block_noise(information), binning.rings)
@@ -127,7 +131,7 @@ def _over_gain(
     fields: Sequence[Float], spectrum: Float, noise: Float, mean: Callable[[Float], Float]
 ) -> tuple[Float, Float]:
     """Return the power of MAP fields (c, my, mx) and of their noise, both divided by the mean squared gain.
-    `noise` is N of each mode, and `mean` averages over the modes of rings or sectors."""
+    `noise` is N of each mode; `mean` averages an array over the modes of each ring or sector."""
     power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
     spectrum = np.broadcast_to(spectrum, power.shape)
     squared_gain = np.square(spectrum / (spectrum + noise))
@@ -138,8 +142,9 @@ def _over_gain(
 def _undetected_fraction(
     measured: Float, rings: Float, noise: Float, detected: NDArray[np.bool_], binning: WavenumberRings
 ) -> float:
-    """Return the power of rings without significant waves over its upper limit `rings`, 0 to 1.
-    It is the slope of a line through (upper limit, measured power) / noise, all (c, rings)."""
+    """Return the power of rings without significant waves as a fraction, 0 to 1, of its upper limit `rings`.
+    It is the slope of a line through the points (upper limit, measured power) / noise of these rings, all (c,
+    rings)."""
     limit, found = rings / noise, measured / noise
     weight = binning.count * (~detected & (binning.middle < SHORTEST_IN_LIMITS))
     total = max(float(weight.sum()), 1e-30)
@@ -150,8 +155,9 @@ def _undetected_fraction(
 
 
 def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
-    """Return the power of each sector over that of its ring, (c, sectors, rings); constant from `lasts` on.
-    The measured `estimate` is averaged over rings with `weight`, and drawn towards 1 where modes are few."""
+    """Return the power of each sector over that of its ring, (c, sectors, rings).
+    The measured `estimate` of this ratio is averaged over neighbouring rings with `weight`, and drawn towards
+    1 where modes are few. In component n, it is constant from ring number lasts[n] - 1 on."""
     for one, last in zip(weight, lasts):
         one[:, last:] = 0.0
     total_weight = convolve1d(weight, RING_SMOOTHING, axis=-1, mode="constant")
@@ -169,8 +175,9 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
 def shrinkage(variance: float, noise: float, waves: float) -> float:
     """Return the fraction of a learned spectrum that is waves, 0 to 1; the rest is noise of long waves.
 
-    `variance` is that of the MAP fields, of which `noise` and `waves` are predicted. The fraction is 1 if
-    variance - noise is at least half of `waves` or three times `noise`; below, it falls in proportion.
+    `variance` is measured in the MAP fields; the prior predicts `noise` for its noise and `waves` for its
+    waves. The fraction is 1 if variance - noise is at least half of `waves` or three times `noise`; below the
+    smaller of these limits it is proportional to variance - noise.
 
     >>> shrinkage(4.0, 1.0, 3.0), round(shrinkage(1.0, 1.0, 3.0), 3)
     (1.0, 0.0)
@@ -181,7 +188,8 @@ def shrinkage(variance: float, noise: float, waves: float) -> float:
 
 
 def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
-    """Return the smallest mean ratio of power to noise in five neighbouring rings with `count` modes."""
+    """Return the smallest mean of a ratio (rings,) of power to noise over five neighbouring rings.
+    `count` is the number of modes of each ring. With fewer than five rings, the result is 1."""
     if ratio.size < NOISE_RINGS:
         return 1.0
     box = np.ones(NOISE_RINGS)
@@ -196,8 +204,9 @@ def _extrapolated(
     noise: float,
     upper_limit: Float | float = np.inf,
 ) -> tuple[float, ...]:
-    """Replace a spectrum (rings,) after its `last` ring by a power law through the rings before.
-    It is kept below the upper limit and above a fraction of `noise`; k are the rings' wavenumbers."""
+    """Replace a spectrum (rings,) from ring number `last` on by a power law through the rings before it.
+    k are the wavenumbers of the rings. The power law stays below `upper_limit`, the whole spectrum above 0.01
+    `noise`."""
     out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
     first = max(last - SLOPE_RINGS, 1)
     slope = SLOPE_RANGE[1]
@@ -210,6 +219,6 @@ def _extrapolated(
 
 
 def _cosine_coefficients(field: Float) -> NDArray[Any]:
-    """Return the orthonormal cosine transform of a field along its last two axes, (c, ny, nx)."""
+    """Return the orthonormal cosine coefficients of a field (c, ny, nx) along y and x, (c, ny, nx)."""
     out: NDArray[Any] = scipy.fft.dctn(np.asarray(field, np.float64), axes=(-2, -1), norm="ortho", workers=1)
     return out

@@ -50,10 +50,10 @@ in_order = compiled(error_model="numpy")
 class Modes:
     """The cosine modes of a MAP field (the most probable field) on a lattice (ny, nx), and the solver for it.
 
-    Modes beyond the last one with a signal-to-noise ratio above 0.02 are left out. Holes tighten the solver's
-    tolerance only where `requested` (ny, nx) is True. `kx` (mx,), `ky` (my, 1) are in rad per block; `foot`
-    is the gain F of averaging over a block, `inverse` is 1/S, and `freedom` the fraction of the variance of
-    scores that a fit leaves.
+    Modes beyond the last one with a signal-to-noise ratio above 0.02 are left out. `requested` (ny, nx) is
+    True where holes count in the choice of the solver's tolerance; None: everywhere. `kx` (mx,) and `ky` (my,
+    1) are wavenumbers, rad per block; `foot` (my, mx) is the gain F of averaging over a block, `inverse` (c,
+    my, mx) is 1/S, and `freedom` the fraction of the variance of scores that a fit leaves.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
@@ -103,12 +103,13 @@ class Modes:
         return self._cosines.field(waves)
 
     def block_mean(self, waves: Float) -> Float:
-        """Return the averages over blocks, (c, ny, nx), of a field with coefficients (c, my, mx)."""
+        """Return the averages over the blocks, (c, ny, nx), of a field with coefficients (c, my, mx)."""
         return self.field(self.foot * waves)
 
     def split(self, field: Float) -> tuple[Float, Float]:
-        """Split a field (c, ny, nx) into a smooth part with its slopes at the edges, and cosines of the rest.
-        Cosines have no slope at the edges. The smooth part (`edge_field`) is reduced if slopes are noisy."""
+        """Split a field (c, ny, nx) into a smooth part (c, ny, nx) and the cosine coefficients of the rest.
+        The smooth part (`edge_field`) has the slopes of the field at the edges, where cosines have none.
+        Noisy slopes are reduced."""
         edges = self._kept * edge_field(field)
         return edges, self.waves(field - edges)
 
@@ -117,8 +118,9 @@ class Modes:
         return self._preconditioner.factor(information)
 
     def tolerances(self, information: Float) -> tuple[float, float]:
-        """Return the tolerances of `solve` for the first evaluation of the images and for later ones.
-        They are smaller if `information` (ny, nx) has large holes: there the field converges last."""
+        """Return the tolerances of `solve` for the first evaluation of the images, and for later ones.
+        They are smaller if `information` (ny, nx), the blocks' inverse variance, has large holes, because the
+        field converges last in holes."""
         hole = hole_mask(information, self.prior.information) & self._requested
         return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
 
@@ -131,12 +133,12 @@ class Modes:
         factor: Factor,
         block_mean: Float | None = None,
     ) -> Float:
-        """Solve (F A F + 1/S) f = F b by conjugate gradients, from `start`; return f (c, my, mx).
+        """Solve (F A F + 1/S) f = F b by conjugate gradients from `start` (c, my, mx); return f (c, my, mx).
 
-        `information` is A, (1, ny, nx), or (3, ny, nx) with xx, xy, yy for two components; `right` (c, ny,
+        `information` is A, (1, ny, nx), or (3, ny, nx) with xx, xy, yy for two components. `right` (c, ny,
         nx) is b = A u + s / nu, with the matched field u minus its smooth part, the scores s and their noise
-        nu. `block_mean` is that of `start`, computed if None. Stops at an rms residual of `tolerance`
-        uncertainties.
+        nu. `factor` comes from `Modes.factor`; `block_mean` is that of `start`, computed if None. The
+        iteration stops when the rms residual is below `tolerance` standard uncertainties.
         """
         a, c = information, len(right)
         block_mean = self.block_mean(start) if block_mean is None else block_mean
@@ -165,7 +167,8 @@ class Modes:
 
 
 def _apply_information(a: Float, field: Float) -> Float:
-    """Multiply a field (c, ny, nx) by A, (1, ny, nx), or (3, ny, nx) with xx, xy, yy for two components."""
+    """Return A times a field (c, ny, nx).
+    A is (1, ny, nx) for one component, and (3, ny, nx) with xx, xy, yy for two."""
     if len(field) == 1:
         return a * field
     u, v = field
@@ -174,7 +177,8 @@ def _apply_information(a: Float, field: Float) -> Float:
 
 @reassociating
 def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
-    """Replace A F p in `image` by (F A F + 1/S) p, in place; return its inner product with p, `direction`."""
+    """Replace A F p in `image` by (F A F + 1/S) p, in place; return its inner product with p.
+    p is `direction`, `foot` is F and `inverse` 1/S; all arrays are flat."""
     total = F(0)
     for i in range(len(image)):
         value = foot[i] * image[i] + inverse[i] * direction[i]
@@ -185,7 +189,7 @@ def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) ->
 
 @reassociating
 def _advance(length: F, direction: Float, image: Float, waves: Float, residual: Float) -> None:
-    """Add `length` times `direction` to `waves`, and subtract `length` times `image` from `residual`."""
+    """Add `length` * `direction` to `waves` and subtract `length` * `image` from `residual`, in place."""
     for i in range(len(waves)):
         waves[i] += length * direction[i]
         residual[i] -= length * image[i]
@@ -193,20 +197,22 @@ def _advance(length: F, direction: Float, image: Float, waves: Float, residual: 
 
 @reassociating
 def _update_direction(ratio: F, step: Float, direction: Float) -> None:
-    """Replace `direction`, in place, by the next conjugate direction: ratio times itself plus `step`."""
+    """Replace `direction`, in place, by the next conjugate direction: `ratio` times itself, plus `step`."""
     for i in range(len(step)):
         direction[i] = ratio * direction[i] + step[i]
 
 
 def _freedom(gain: Float) -> float:
-    """Return the fraction of the variance of 5 x 5 clusters' scores that a fit leaves, at least 0.2."""
+    """Return the fraction, at least 0.2, of the variance of scores that remains after a fit.
+    Scores are summed over clusters of 5 x 5 blocks; `gain` (ny, nx) is that of the MAP field in every cosine
+    mode."""
     rows, columns = (_box(n) for n in gain.shape)
     power = np.square(rows[:, None] * columns)
     return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
 
 
 def _box(n: int) -> NDArray[np.float64]:
-    """Return the gain of the sum over a cluster (5 blocks along one axis) for n cosine modes, (n,)."""
+    """Return the gain of the sum over 5 blocks (a cluster) along one axis, for n cosine modes, (n,)."""
     m = np.arange(1, CLUSTER // 2 + 1)[:, None]
     out: NDArray[np.float64] = 1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0)
     return out
@@ -263,7 +269,7 @@ class Cosines:
         return out
 
     def split_parities(self, waves: Float) -> Float:
-        """Sort coefficients (c, my, mx) by even and odd modes along y and x: (2, my / 2, 2, c, mx / 2)."""
+        """Sort coefficients (c, my, mx) into even and odd modes along y and x: (2, my / 2, 2, c, mx / 2)."""
         c, (my, mx) = len(waves), self.shape
         parts = waves.reshape(c, my // 2, 2, mx // 2, 2).transpose(2, 1, 4, 0, 3)
         return np.ascontiguousarray(parts, F)
@@ -274,14 +280,17 @@ class Cosines:
         return np.ascontiguousarray(by_parity.transpose(3, 1, 0, 4, 2)).reshape(c, *self.shape)
 
     def quarters(self, field: Float) -> Float:
-        """Return the even and odd parts of a field (c, ny, nx) on a quarter lattice: (2, hy, 2, c, hx)."""
+        """Return the four parts of a field (c, ny, nx), even or odd along y and x: (2, hy, 2, c, hx).
+        Axes 0 and 2 are the parity (even, odd) along y and x. One quarter of the lattice, hy x hx, determines
+        each part."""
         hy, hx = self._half
         out = np.empty((2, hy, 2, len(field), hx), F)
         _fold(np.ascontiguousarray(field, F), out)
         return out
 
     def mirrored(self, field: Float) -> Float:
-        """Return a field (c, ny, nx) as four quarters, each mirrored onto the first: (2, 2, c, hy, hx)."""
+        """Return a field (c, ny, nx) as its four quarters, each mirrored onto the first: (2, 2, c, hy, hx).
+        Axes 0 and 1 tell whether the quarter lies in the lower and in the right half of the lattice."""
         (ny, nx), (hy, hx) = self.lattice, self._half
         # the middle of an odd number of blocks is its own mirror image and is counted once
         out = np.zeros((2, 2, len(field), hy, hx), F)
@@ -292,7 +301,7 @@ class Cosines:
         return out
 
     def quarters_of(self, by_parity: Float) -> Float:
-        """Return the quarters of a field (see `quarters`) from its coefficients (see `split_parities`)."""
+        """Return the even and odd parts of a field (`quarters`) from its coefficients (`split_parities`)."""
         _, my, _, c, mx = by_parity.shape
         hy, hx = self._half
         # transform along x first: there are fewer modes along y than blocks, so that the product is smaller
@@ -305,7 +314,7 @@ class Cosines:
         return out.reshape(2, hy, 2, c, hx)
 
     def coefficients_of(self, quarters: Float) -> Float:
-        """Return the coefficients of a field (see `split_parities`) from its quarters (see `quarters`)."""
+        """Return the coefficients of a field (`split_parities`) from its even and odd parts (`quarters`)."""
         _, hy, _, c, hx = quarters.shape
         my, mx = self.shape[0] // 2, self.shape[1] // 2
         part = np.matmul(self._rows, quarters.reshape(2, hy, 2 * c * hx)).reshape(2 * my, 2, c, hx)
@@ -318,7 +327,7 @@ class Cosines:
 
 @reassociating
 def _fold(field: Float, out: Float) -> None:
-    """Write the even and odd parts of a field (c, ny, nx) to `out`, shaped as in `Cosines.quarters`."""
+    """Write the even and odd parts of a field (c, ny, nx) to `out`, ordered as in `Cosines.quarters`."""
     _, hy, _, c, hx = out.shape
     _, ny, nx = field.shape
     for n in range(c):
@@ -339,7 +348,7 @@ def _fold(field: Float, out: Float) -> None:
 
 @reassociating
 def _unfold(quarters: Float, out: Float) -> None:
-    """Write the sum of even and odd parts, shaped as in `Cosines.quarters`, to the field out (c, ny, nx)."""
+    """Write the field with these even and odd parts (`Cosines.quarters`) to out (c, ny, nx)."""
     _, hy, _, c, hx = quarters.shape
     _, ny, nx = out.shape
     for n in range(c):
@@ -360,7 +369,8 @@ def _unfold(quarters: Float, out: Float) -> None:
 @reassociating
 def multiply(a: Float, quarters: Float) -> None:
     """Multiply a field by the information A at every block, in place.
-    `quarters` (2, hy, 2, c, hx) are the field's parts, and `a` is A as in `Cosines.mirrored`, xx, xy, yy."""
+    `quarters` are the even and odd parts of the field (`Cosines.quarters`). `a` is A as `Cosines.mirrored`
+    returns it, with one component, or with three (xx, xy, yy) for fields of two components."""
     _, hy, _, c, _ = quarters.shape
     for j in range(hy):
         top, bottom = quarters[0, j], quarters[1, j]
@@ -372,15 +382,18 @@ def multiply(a: Float, quarters: Float) -> None:
 
 @reassociating
 def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
-    """Return a field at (y, x), (y, -x), (-y, x), (-y, -x), from its parts (`eo`: even along y, odd in x)."""
+    """Return a field at (y, x), (y, -x), (-y, x), (-y, -x), measured from the middle, from its four parts.
+    The first letter of a part is its parity along y, the second that along x: `eo` is even along y and odd
+    along x."""
     p, q, r, s = ee + oe, eo + oo, ee - oe, eo - oo
     return p + q, p - q, r + s, r - s
 
 
 @reassociating
 def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
-    """Multiply a row of a field by A, in place: a0 to a3 are A at the four places of `_four_places`.
-    `top` holds the parts of the field that are even along y, `bottom` the odd ones."""
+    """Multiply a row of a field of one component by A, in place.
+    a0 to a3 are A at the four places of `_four_places`. `top` holds the parts of the field that are even
+    along y, `bottom` the odd ones."""
     ee, eo, oe, oo = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     for i in range(len(a0)):
         f0, f1, f2, f3 = _four_places(ee[i], eo[i], oe[i], oo[i])
@@ -391,7 +404,7 @@ def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom
 
 @reassociating
 def _multiply_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
-    """Do what `_multiply_one` does for two components; a0 to a3 have rows xx, xy, yy of the matrix A."""
+    """Do what `_multiply_one` does for a field of two components; a0 to a3 are (3, n): xx, xy, yy of A."""
     ue, uo, pe, po = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     ve, vo, qe, qo = top[0, 1], top[1, 1], bottom[0, 1], bottom[1, 1]
     x0, x1, x2, x3 = a0[0], a1[0], a2[0], a3[0]
@@ -424,7 +437,8 @@ def _multiply_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom
 
 
 def edge_field(field: Float) -> Float:
-    """Return exponentials (c, ny, nx) that have the slopes of `field`, without holes, at the four edges."""
+    """Return a smooth field (c, ny, nx) with the slopes of `field` (c, ny, nx) at the four edges.
+    It decays exponentially inwards. `field` must have no holes."""
     field = np.asarray(field, np.float32)
     out = _with_slopes_along_x(field)
     rest = np.ascontiguousarray(np.swapaxes(field - out, 1, 2))
@@ -433,7 +447,8 @@ def edge_field(field: Float) -> Float:
 
 
 def _with_slopes_along_x(field: Float) -> Float:
-    """Return a field (c, ny, nx) that has the slopes of `field`, smoothed along y, at both ends of x."""
+    """Return a field (c, ny, nx) with the slopes along x of `field` at the first and the last column.
+    The slopes are smoothed along y."""
     fit, profile, smoother = _tables(*field.shape[1:])
     first, last = field[..., :EDGE_REACH] @ fit @ smoother, field[..., -EDGE_REACH:] @ fit @ smoother
     return np.asarray(last[..., None] * profile - first[..., None] * profile[::-1])
@@ -441,7 +456,7 @@ def _with_slopes_along_x(field: Float) -> Float:
 
 @lru_cache(maxsize=16)
 def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
-    """Return weights (6,) of a slope, an exponential (nx,) with unit end slope, and a smoother (ny, ny)."""
+    """Return weights (6,) that fit a slope, an exponential (nx,) of end slope 1, a smoother (ny, ny)."""
     t = np.arange(EDGE_REACH, dtype=np.float32) - np.float32((EDGE_REACH - 1) / 2)
     profile = EDGE_REACH * np.exp((np.arange(nx) + 0.5 - nx) / EDGE_REACH)
     modes = cosines(ny, ny)
@@ -452,7 +467,8 @@ def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
 
 class Preconditioner:
     """Preconditioner of `Modes.solve`: exact for the 300 strongest modes, diagonal for the others.
-    `ratio` (my, mx) is signal over noise, `inverse` 1/S, and `foot` the gain of averaging over a block."""
+    `lattice` is (ny, nx). `ratio` (my, mx) is signal over noise, `inverse` (my, mx) is 1/S, and `foot` (my,
+    mx) the gain of averaging over a block."""
 
     def __init__(self, lattice: tuple[int, int], ratio: Float, inverse: Float, foot: Float) -> None:
         count = min(EXACT_MODES, ratio.size)
@@ -474,7 +490,7 @@ class Preconditioner:
         self._positions = {c: (line * c + np.arange(c)[:, None]) * half + self._ix // 2 for c in (1, 2)}
 
     def factor(self, information: Float) -> Factor:
-        """Return Cholesky factor and scaling of the strongest modes, from the blocks' information."""
+        """Return Cholesky factor (n, n) and scaling (n,) of the n strongest modes, from A = `information`."""
         table = self._sum_rows @ information @ self._sum_columns
         scale = 1.0 / np.sqrt(self._own_inverse + self._square * F(information.mean()))
         count = self._norm.size
@@ -487,7 +503,8 @@ class Preconditioner:
 
     def apply(self, residual: Float, diagonal: Float, factor: Factor, out: Float) -> float:
         """Write the preconditioned residual to `out`; return its inner product with the residual.
-        Arrays are sorted by parity; `diagonal` multiplies the weaker modes, `factor` solves for the rest."""
+        Arrays are ordered as by `Cosines.split_parities`. `diagonal` multiplies the weaker modes; `factor`,
+        from the method of this name, solves for the strongest."""
         lower, scale = factor
         positions = self._positions[residual.shape[3]]
         gathered = np.empty(positions.shape, F)
@@ -500,7 +517,8 @@ class Preconditioner:
 
 @reassociating
 def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None:
-    """Write the residual at the strongest modes' `positions` (c, modes), times `scale`, to out (c, modes)."""
+    """Write the residual of the strongest modes times `scale` (modes,) to out (c, modes).
+    `positions` (c, modes) are the positions of these modes in the flat `residual`."""
     for n in range(len(positions)):
         for k in range(len(scale)):
             out[n, k] = residual[positions[n, k]] * scale[k]
@@ -510,7 +528,8 @@ def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None
 def _preconditioned(
     diagonal: Float, residual: Float, exact: Float, positions: Float, scale: Float, out: Float
 ) -> F:
-    """Write diagonal * residual, but exact * scale at `positions` (c, modes); return out . residual."""
+    """Write diagonal * residual to `out`, but exact * scale at `positions`; return the sum of out * residual.
+    `exact` and `positions` are (c, modes), `scale` is (modes,); the other arrays are flat."""
     for i in range(len(out)):
         out[i] = diagonal[i] * residual[i]
     for n in range(len(positions)):
@@ -525,7 +544,8 @@ def _preconditioned(
 @in_order
 def _assemble(table: Float, iy: Float, ix: Float, norm: Float, own: Float, out: Float) -> None:
     """Write the lower triangle of the scaled matrix F A F + 1/S of the strongest modes (iy, ix) to `out`.
-    `table` has sums of A times cosines, which suffice: a product of cosines is a sum of cosines."""
+    `table` holds sums of A times cosines; they suffice, because a product of cosines is a sum of cosines.
+    `norm` has F and the scaling of each mode, `own` the scaled 1/S."""
     for p in range(iy.size):
         for q in range(p + 1):
             y0, y1 = abs(iy[p] - iy[q]), iy[p] + iy[q]

@@ -1,4 +1,4 @@
-"""Posterior variance of the MAP field, from the information around each block."""
+"""Posterior variance of the MAP field at each block, from the information in its surroundings."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ MIN_WAVE_FRACTION = 1e-3  # lower bound of the fraction that is waves, which kee
 class PosteriorVariance:
     """Variance of the MAP field on a lattice (ny, nx): from noise, and from waves that the prior suppresses.
 
-    With uniform information A, footprint F and spectrum S, a mode has F^2 A / (F^2 A + 1/S)^2 from noise, and
-    1/S / (F^2 A + 1/S)^2, times the fraction of waves in S, from suppressed waves. Else each block gets the
-    variances for the mean of A around it, weighted by the squared impulse response. Inside holes, the second
-    part is at least `hole_variance`.
+    With uniform information A, footprint F and spectrum S, each mode contributes F^2 A / (F^2 A + 1/S)^2 of
+    noise, and of suppressed waves 1/S / (F^2 A + 1/S)^2 times the fraction of S that is waves. If A varies,
+    each block gets the variances for the mean of A around it, weighted by the squared impulse response of the
+    estimate. Inside holes, the variance of suppressed waves is at least `hole_variance`.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
@@ -65,7 +65,7 @@ class PosteriorVariance:
         return [hole_variance(one) for one in self._spectrum]
 
     def __call__(self, information: Float) -> tuple[Float, Float]:
-        """Return the variances of noise and of missing waves, (c, ny, nx), in the field's unit squared.
+        """Return the variances from noise and from suppressed waves, (c, ny, nx), in squared field units.
         `information` (ny, nx) is the inverse variance of the value of each block."""
         waves = self._forward[0] @ (information @ self._forward[1])
         x = self._inverse[0] @ ((self._kernels * waves) @ self._inverse[1])
@@ -88,7 +88,7 @@ class PosteriorVariance:
         return noise, missing
 
     def _to_full_lattice(self, some: Float) -> Float:
-        """Interpolate a field on every fourth block to all blocks, (ny, nx)."""
+        """Interpolate a field that is given at every fourth block to all blocks, (ny, nx)."""
         ny, nx = self.shape
         scale = np.array([[EVERY, 0.0, 0], [0, EVERY, 0.0]])
         return cv2.warpAffine(some, scale, (nx, ny), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -96,8 +96,9 @@ class PosteriorVariance:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
-    """Write n variances to out (n, ny, nx), read from a table at the level that equals its own local mean.
-    x (levels, ny, nx) are the means of A with each level's kernel; `log` and `variance` are logarithms."""
+    """Write the variances for each block's mean information to out (n, ny, nx), from a table (n, levels).
+    The kernel of the mean depends on the level of information, so the level whose own mean x (levels, ny, nx)
+    equals it is used. `log` are the levels and `variance` the table, both logarithms."""
     for j in range(x.shape[1]):
         for i in range(x.shape[2]):
             previous = np.log(max(x[0, j, i], F(1e-30))) - log[0]
@@ -113,21 +114,22 @@ def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
 
 
 def _impulse(gain: Float) -> Float:
-    """Return one quarter (ny + 1, nx + 1) of the even impulse response of a filter with these gains."""
+    """Return a quarter (ny + 1, nx + 1) of the even impulse response of a filter with gains (ny, nx)."""
     out: Float = scipy.fft.dctn(np.pad(gain, (0, 1)), type=1) / (4 * gain.size)
     return out
 
 
 def _squared_response(gain: Float) -> Float:
-    """Return the gains (ny, nx) of the squared impulse response of a filter, 1 at wavenumber zero."""
+    """Return the gains of the squared impulse response of a filter with `gain`, (ny, nx), 1 at k = 0."""
     out: Float = scipy.fft.dctn(_impulse(gain) ** 2, type=1)[:-1, :-1]
     out /= out[0, 0]
     return out
 
 
 def hole_variance(spectrum: Float) -> Float:
-    """Return the variance of a field inside a hole without data, at 0, 1, 2, ... blocks from the rim.
-    Value and slope are known at the rim: C(0) - C(r)^2 / C(0) - C'(r)^2 / |C''(0)| with the covariance C."""
+    """Return the variance of a field inside a hole without data, at 0, 1, 2, ... blocks from its rim, (n,).
+    Value and slope are known at the rim, so it is C(0) - C(r)^2 / C(0) - C'(r)^2 / |C''(0)|, with the
+    covariance C at the distance r. `spectrum` (ny, nx) is that of the field."""
     covariance = _impulse(spectrum)
     side = min(spectrum.shape)
     curve = 0.5 * (covariance[0, :side] + covariance[:side, 0])

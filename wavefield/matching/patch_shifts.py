@@ -19,7 +19,8 @@ Float = NDArray[np.float32]
 
 
 def widened(ends: tuple[float, float]) -> tuple[float, float]:
-    """Widen a range of displacements (lowest, highest), px, by a margin, rounded outwards to whole px."""
+    """Widen a range of displacements (lowest, highest), px, by 12 px plus a quarter of its span at each end.
+    The ends are rounded outwards to whole pixels."""
     margin = TOLERANCE_PX + 0.25 * (ends[1] - ends[0])
     return float(np.floor(ends[0] - margin)), float(np.ceil(ends[1] + margin))
 
@@ -46,7 +47,7 @@ def shifts(a: Float, b: Float, reach: tuple[int, int] = (REACH_PX, REACH_PX)) ->
 
 
 def _half(image: Float) -> Float:
-    """Return an image with half as many rows and columns, averaged over 2 x 2 px."""
+    """Return an image with half as many rows and columns, each pixel the mean of 2 x 2 px."""
     height, width = image.shape
     small = cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.float32)
@@ -61,8 +62,9 @@ def _correlations(patch: Float, around: Float) -> Float:
 
 
 def _found(a: Float, b: Float, at: tuple[int, int], reach: tuple[int, int]) -> tuple[float, float]:
-    """Return the displacement of the patch of a, at column and row `at`, in b (halved images), px.
-    It is NaN if no correlation within `reach` (x, y) is above MIN_CORRELATION, or if two are about equal."""
+    """Return the displacement (x, y), px, from a to b of the patch at column and row `at` (halved images).
+    It is NaN if no correlation within `reach` (x, y) exceeds MIN_CORRELATION, or if the second-best is about
+    equal."""
     size = PATCH_PX // 2
     x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
     patch = a[at[1] : at[1] + size, at[0] : at[0] + size]
@@ -75,8 +77,9 @@ def _found(a: Float, b: Float, at: tuple[int, int], reach: tuple[int, int]) -> t
 
 
 def locate(patch: Float, around: Float) -> tuple[float, float, float]:
-    """Return the column and row, px, where a patch fits best into an image, and the correlation there.
-    The position is NaN if the largest correlation lies at the border of the image `around`."""
+    """Return the column and row where a patch fits best into the image `around`, and the correlation there.
+    Column and row are those of the patch's first pixel, with fractions. They are NaN if the largest
+    correlation lies at the border of the image."""
     correlations = _correlations(patch, around)
     _, best, _, (column, row) = cv2.minMaxLoc(correlations)
     if not (0 < row < correlations.shape[0] - 1 and 0 < column < correlations.shape[1] - 1):
@@ -87,7 +90,9 @@ def locate(patch: Float, around: Float) -> tuple[float, float, float]:
 
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the displacements (n, 2), px, that agree with that of another patch within 12 px + 25 %."""
+    """Return those of the displacements `moved` (m, 2), px, that agree with that of another patch.
+    Two agree if they differ by less than 12 px plus 25 % of their length. Displacements that are NaN are left
+    out."""
     moved = moved[np.isfinite(moved[:, 0])]
     apart = np.hypot(*(moved[:, None] - moved).T) - TOLERANCE_PX - 0.25 * np.hypot(*moved.T)
     out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]

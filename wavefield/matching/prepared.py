@@ -1,7 +1,8 @@
 """Preparation of an image, once for all its matches: mask, local normalisation, pyramid.
 
-Local normalisation gives every part of the image zero mean and unit variance, with a Gaussian window of
-`MatchSettings.normalization` px. Means over the window are computed from sums over small square *cells*.
+Local normalisation gives every part of the image zero mean and unit variance, within a Gaussian window with
+the standard deviation `MatchSettings.normalization`, px. Means over this window are computed from sums over
+small square *cells* of pixels.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ njit = compiled(fastmath={"contract"}, error_model="numpy")
 
 @dataclass(frozen=True)
 class Level:
-    """One pyramid level of a prepared image."""
+    """One pyramid level of a prepared image, with sums over its blocks that are computed at first use."""
 
     padded: np.ndarray  # (h + 2 PAD, w + 2 PAD): the image with replicated border
     # (h, w): 1 where all pixels of a block around this pixel are usable; shape (0, 0) if nothing is masked
@@ -54,7 +55,7 @@ class Level:
 
     @property
     def blocks(self) -> tuple[int, int]:
-        """Rows and columns of blocks."""
+        """Number of rows and columns of blocks, (ny, nx)."""
         return self.shape[0] // BLOCK, self.shape[1] // BLOCK
 
     @property
@@ -78,7 +79,8 @@ class Level:
 
     @cached_property
     def beads(self) -> tuple[np.ndarray, np.ndarray]:
-        """Block with the top of each pixel's bead, (h, w), and the Hessians of such blocks, (3, ny, nx)."""
+        """Block to which the bead around each pixel belongs, (h, w), and Hessians of such beads, (3, ny, nx).
+        The block is the number, counted row by row, of that with the brightest point of the bead."""
         ny, nx = self.blocks
         h, w = ny * BLOCK, nx * BLOCK
         smooth = cv2.GaussianBlur(self.padded, (0, 0), NOISE_BLUR_PX)
@@ -112,7 +114,7 @@ class PreparedImage:
 
 @dataclass(frozen=True)
 class Mask:
-    """The usable pixels of an image, prepared for matching; make it once for images with the same mask."""
+    """Usable pixels of an image, prepared for matching; images with the same mask can share one instance."""
 
     good: np.ndarray  # (h, w): 1 where a pixel is usable
     levels: tuple[np.ndarray, ...]  # (h, w): `Level.good` of each pyramid level, finest first
@@ -194,7 +196,8 @@ def prepare(
 
 
 def level_count(shape: tuple[int, ...], levels: int) -> int:
-    """Return the number of levels, at most `levels`; the coarsest is at least 40 px wide and high."""
+    """Return the number of pyramid levels for an image of this shape (h, w), at most `levels`.
+    The coarsest level is at least 40 px wide and high."""
     side = min(shape)
     while levels > 1 and side >> (levels - 1) < MIN_LEVEL_SIDE:
         levels -= 1
@@ -204,8 +207,8 @@ def level_count(shape: tuple[int, ...], levels: int) -> int:
 def _normalize(
     image: np.ndarray, mask: Mask | None, settings: MatchSettings, padded: np.ndarray
 ) -> Mask | None:
-    """Write the normalised image inside the border of `padded`; return the mask, None if all are usable.
-    The mask also excludes saturated pixels and those that are not finite."""
+    """Write the normalised image inside the border of `padded`; return the mask, None if all is usable.
+    The returned mask also excludes saturated pixels and those that are not finite."""
     width = settings.normalization
     cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
@@ -219,12 +222,13 @@ def _normalize(
 
 
 def _excluding(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> Mask:
-    """Return a mask that also excludes the pixels `bad` (h, w); `mask` None means that all were usable."""
+    """Return a mask that also excludes the pixels `bad` (h, w); a `mask` of None excludes none."""
     return Mask.of(~bad if mask is None else (mask.good != 0) & ~bad, settings)
 
 
 def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
-    """Return a mask (h, w) of uniform patches of 5 x 5 px at the largest value, in `columns`, or None."""
+    """Return a mask (h, w), True in uniform patches of at least 5 x 5 px at the largest value; None without.
+    `columns` are the numbers of the columns that contain the `largest` value."""
     # every patch contains one pixel of a grid whose step is the side of the smallest patch
     columns = columns[columns % BLOCK == BLOCK - 1]
     if largest <= 0 or not (image[BLOCK - 1 :: BLOCK, columns] == largest).any():
@@ -240,13 +244,14 @@ def _padded(h: int, w: int) -> np.ndarray:
 
 
 def _usable_blocks(good: np.ndarray, level: int) -> np.ndarray:
-    """Return 1 where the block around a pixel is usable (on level 0 also two pixels around it), else 0."""
+    """Return 1 for pixels around which a whole block is usable, else 0, (h, w).
+    On level 0, a margin of two pixels around the block must be usable as well."""
     side = BLOCK + 4 if level == 0 else BLOCK
     return cv2.erode(good, np.ones((side, side), np.uint8), borderType=cv2.BORDER_REPLICATE)
 
 
 def _replicate_border(padded: np.ndarray) -> None:
-    """Fill the border with the nearest pixel of the image, in place."""
+    """Fill the border of `padded` with the nearest pixels of the image inside, in place."""
     padded[PAD:-PAD, :PAD] = padded[PAD:-PAD, PAD : PAD + 1]
     padded[PAD:-PAD, -PAD:] = padded[PAD:-PAD, -PAD - 1 : -PAD]
     padded[:PAD] = padded[PAD]
@@ -259,7 +264,8 @@ def _replicate_border(padded: np.ndarray) -> None:
 
 @njit
 def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
-    """Write the sums of `side` neighbours among the first `count` of a row; the last includes the rest."""
+    """Write sums of each `side` neighbours in the first `count` elements of a row to `out`.
+    The last sum includes the elements that are left over."""
     n = len(out)
     if side == 8:  # the usual side, in a form that vectorises
         for i in range(n):
@@ -277,8 +283,8 @@ def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
 
 @njit
 def _add_row(row: np.ndarray, usable: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray) -> None:
-    """Add a row to the sums s and sums of squares t of each column; update the maxima `top`.
-    Pixels that are not usable (0) count as 0."""
+    """Add a row of pixels to sums s and to sums of squares t of each column, and update the maxima `top`.
+    Pixels with `usable` 0 count as 0."""
     for x in range(len(row)):
         v = F(row[x]) if usable[x] != 0 else F(0)
         s[x] += v
@@ -289,7 +295,8 @@ def _add_row(row: np.ndarray, usable: np.ndarray, s: np.ndarray, t: np.ndarray, 
 @njit
 def _cell_sums(image: np.ndarray, usable: np.ndarray, side: int, rows: np.ndarray, out: np.ndarray) -> None:
     """Write sums of pixels and of squared pixels over cells of `side` x `side` px to out (2, ny, nx).
-    rows[2] receives the largest pixel of each column."""
+    rows[2] receives the largest pixel of each column; rows[0] and rows[1] are scratch. Pixels with `usable` 0
+    count as 0."""
     h, w = image.shape
     ny = out.shape[1]
     s, t, top = rows[0], rows[1], rows[2]
@@ -314,7 +321,9 @@ def _normalize_row(
     t: np.float32,
     out: np.ndarray,
 ) -> None:
-    """Write (row - mean) * scale, interpolated a fraction t of the way from m0, s0 to m1, s1."""
+    """Write (row - mean) * scale to `out`, and 0 where `usable` is 0.
+    The mean is interpolated between rows of cells, a fraction t of the way from m0 to m1; the scale from s0
+    to s1."""
     for x in range(len(row)):
         mean = m0[x] + t * (m1[x] - m0[x])
         scale = s0[x] + t * (s1[x] - s0[x])
@@ -325,7 +334,8 @@ def _normalize_row(
 def _normalize_image(
     image: np.ndarray, usable: np.ndarray, mean: np.ndarray, scale: np.ndarray, side: int, out: np.ndarray
 ) -> None:
-    """Write the normalised image inside the border of `out`; pixels that are not `usable` become 0."""
+    """Write (image - mean) * scale inside the border of `out`; pixels with `usable` 0 become 0.
+    `mean` and `scale` (ny, w) are given for each row of cells of `side` px, at every column."""
     ny, (h, w) = len(mean), image.shape
     border = (len(out) - h) // 2
     for y in range(h):
@@ -337,8 +347,9 @@ def _normalize_image(
 
 
 class NormalizationCells:
-    """Local means of an image (h, w) from sums over small square cells, with a Gaussian window of `width` px.
-    `largest` is the largest pixel, `brightest` are the columns with it; `finite` if all pixels are."""
+    """Sums over the cells of an image (h, w), for local means in a Gaussian window of `width` px.
+    `largest` is the largest pixel and `brightest` the columns that contain it; `finite` is False if any pixel
+    is not finite. `usable` (h, w) is 1 for pixels that count; None: all."""
 
     def __init__(self, image: np.ndarray, width: float, usable: np.ndarray | None = None) -> None:
         self.image, self.width = np.ascontiguousarray(image), max(width, 1.0)
@@ -354,7 +365,7 @@ class NormalizationCells:
         self.finite = bool(np.isfinite(self.sums[0].sum()))
 
     def local(self, number: int) -> np.ndarray:
-        """Return the mean of pixels (number 0) or of squared pixels (1) over the window, (ny, nx) float32."""
+        """Return the mean over the window of pixels (number 0) or of squared pixels (number 1), (ny, nx)."""
         mean = self.sums[number] * _inverse_area(self.image.shape, self.side)
         # subtract the blur that is there already: 1/12 by averaging over cells, 1/6 by linear interpolation
         sigma = np.sqrt((self.width / self.side) ** 2 - 0.25)
@@ -362,7 +373,8 @@ class NormalizationCells:
         return out
 
     def normalized(self, share: np.ndarray | None, out: np.ndarray) -> None:
-        """Write the normalised image inside the border of `out`; `share` is the usable fraction by cell."""
+        """Write the normalised image inside the border of `out`.
+        `share` (ny, nx) is the usable fraction of pixels around each cell; None if all are usable."""
         mean, square = self.local(0), self.local(1)
         if share is not None:
             mean /= share
@@ -377,7 +389,7 @@ class NormalizationCells:
         _normalize_image(self.image, self.usable, self._spread(mean), self._spread(scale), self.side, out)
 
     def _spread(self, field: np.ndarray) -> np.ndarray:
-        """Interpolate a field on the cells (ny, nx) along its rows to pixels, (ny, w) float32."""
+        """Interpolate a field on the cells (ny, nx) along its rows to pixels, (ny, w)."""
         if self.side == 1:
             return field
         ny, nx = field.shape
@@ -389,13 +401,14 @@ class NormalizationCells:
 
 
 def usable_share(usable: np.ndarray, width: float) -> np.ndarray:
-    """Return the usable fraction around each cell, (ny, nx), at least 0.001, for a window of `width` px."""
+    """Return the usable fraction of pixels around each cell, (ny, nx), but at least 0.001.
+    `usable` (h, w) is 1 for usable pixels; `width`, px, is the standard deviation of the Gaussian window."""
     out: np.ndarray = np.maximum(NormalizationCells(usable, width).local(0), MIN_USABLE_SHARE)
     return out
 
 
 def _side(h: int, w: int, width: float) -> int:
-    """Return the side of the cells, px: 8, 4, 2 or 1, at most `width` and an eighth of the image h, w."""
+    """Return the side of the cells, px: 8, 4, 2 or 1, at most `width` and an eighth of the sides h, w."""
     side = MAX_CELL_SIDE
     while side > 1 and (width < side or min(h, w) < 8 * side):
         side //= 2
@@ -404,13 +417,13 @@ def _side(h: int, w: int, width: float) -> int:
 
 @lru_cache(maxsize=8)
 def _all_usable(shape: tuple[int, int]) -> np.ndarray:
-    """Return the mask of an image of which all pixels are usable."""
+    """Return the mask (h, w) of an image whose pixels are all usable: 1 everywhere."""
     return np.ones(shape, np.uint8)
 
 
 @lru_cache(maxsize=16)
 def _inverse_area(shape: tuple[int, int], side: int) -> np.ndarray:
-    """Return the reciprocal of the number of pixels of each cell, (ny, nx) float32."""
+    """Return the reciprocal of the number of pixels in each cell, (ny, nx), of an image of this shape."""
     counts = []
     for n in shape:
         count = np.full(n // side, side, F)

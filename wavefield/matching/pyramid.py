@@ -1,8 +1,9 @@
 """Block Gauss-Newton matching over a pyramid: first estimate, steps, and assessment of the blocks.
 
 `match` starts on the coarsest level (from a search over whole pixels, if the settings give ranges) and takes
-Gauss-Newton steps on every level. `_assess` then decides which blocks are valid. Afterwards `reevaluate` and
-`scores_at` compute the scores and Hessians of the blocks at a better displacement, for the MAP field.
+Gauss-Newton steps on every level. `_assess` then decides which blocks are valid. For the MAP field,
+`reevaluate` or `scores_at` later computes the scores and Hessians of the blocks again, at a better
+displacement.
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ def match(
 
 
 def _coarse(a: PreparedImage, b: PreparedImage, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Return the displacement from the coarse levels alone, u and v (ny, nx), on the finest lattice, px."""
+    """Return u and v (ny, nx), px, on the finest lattice, as found on the coarser levels alone."""
     top = min(len(a.levels), settings.levels) - 1
     u, v = _start(a.levels[top], b.levels[top], top, settings)
     for number in range(top, 0, -1):
@@ -117,7 +118,7 @@ def _coarse(a: PreparedImage, b: PreparedImage, settings: MatchSettings) -> tupl
 def _prepared_pair(
     a: np.ndarray | PreparedImage, b: np.ndarray | PreparedImage, settings: MatchSettings
 ) -> tuple[PreparedImage, PreparedImage]:
-    """Prepare those of the two images that are not prepared yet; raise FrameError if their sizes differ."""
+    """Prepare either image that is not prepared yet, and return both; FrameError if their sizes differ."""
     a, b = _prepared(a, settings), _prepared(b, settings)
     if a.shape != b.shape:
         raise FrameError(f"the images to match differ in size: {a.shape} and {b.shape}")
@@ -125,7 +126,7 @@ def _prepared_pair(
 
 
 def _prepared(image: np.ndarray | PreparedImage, settings: MatchSettings) -> PreparedImage:
-    """Prepare an image for these settings; raise ValueError if it was prepared for other settings."""
+    """Return an image prepared for these settings; ValueError if it was prepared for others."""
     if not isinstance(image, PreparedImage):
         return prepare(image, settings)
     if image.normalization != settings.normalization:
@@ -142,7 +143,8 @@ def _prepared(image: np.ndarray | PreparedImage, settings: MatchSettings) -> Pre
 
 
 def _start(a: Level, b: Level, levels: int, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Return the displacement (ny, nx) to start from on the coarsest level: from a search, or zero."""
+    """Return u and v (ny, nx), px, to start from on the coarsest level; `levels` is its number (0: finest).
+    They come from a search over the ranges of the settings, or are zero without ranges."""
     if settings.search_x is None or settings.search_y is None:
         return np.zeros(a.blocks, np.float32), np.zeros(a.blocks, np.float32)
     factor = 2**levels
@@ -154,7 +156,8 @@ def _start(a: Level, b: Level, levels: int, settings: MatchSettings) -> tuple[np
 
 
 class _LevelPair:
-    """Two images on one pyramid level: holds the weights of their blocks and takes the Gauss-Newton steps."""
+    """Two images on one pyramid level: holds the weights of their blocks and takes the Gauss-Newton steps.
+    `sigma` is the width of the smoother, in blocks."""
 
     def __init__(self, a: Level, b: Level, sigma: float, settings: MatchSettings) -> None:
         self.a, self.b, self.sigma, self.settings = a, b, sigma, settings
@@ -167,7 +170,8 @@ class _LevelPair:
         self._hessian: np.ndarray | None = None
 
     def update_weights(self, u: np.ndarray, v: np.ndarray) -> None:
-        """Update the block weights for a displacement u, v (ny, nx), px, and drop the stored Hessian."""
+        """Update the block weights for a displacement u, v (ny, nx), px.
+        If they change, the stored Hessian is dropped."""
         count = np.empty(u.shape, np.float32)
         block_weights(self.a.good, self.b.good, u, v, *self.b.shape, count)
         if np.array_equal(count, self.count):
@@ -185,7 +189,7 @@ class _LevelPair:
         return self._hessian
 
     def windows(self, fields: np.ndarray) -> np.ndarray:
-        """Average each of the fields (n, ny, nx) over Gaussian windows, and return (n, ny, nx)."""
+        """Return averages of each of the fields (n, ny, nx) over Gaussian windows, (n, ny, nx)."""
         out = np.empty_like(fields)
         for field, to in zip(fields, out):
             filtered(field, self.weights, to)
@@ -194,8 +198,8 @@ class _LevelPair:
     def advance(
         self, u: np.ndarray, v: np.ndarray, score: np.ndarray, number: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Take one Gauss-Newton step, replace outliers and smooth; return new u, v and the mask of outliers.
-        `score` is that of windows; `number` counts the steps of this level from 0."""
+        """Take a Gauss-Newton step, replace outliers and smooth; return new u, v and the mask of outliers.
+        `score` (2, ny, nx) is averaged over windows; `number` counts the steps of this level from 0."""
         hessian = self.hessian
         u, v = u.copy(), v.copy()
         ridge = F(RIDGE_FRACTION) * F(hessian[0].mean() + hessian[2].mean()) + F(1e-12)
@@ -207,12 +211,14 @@ class _LevelPair:
 
 
 def _slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the gradients du/dx, du/dy, dv/dx, dv/dy of a displacement u, v (ny, nx), (4, ny, nx)."""
+    """Return the gradients du/dx, du/dy, dv/dx, dv/dy, (4, ny, nx), of a displacement u, v (ny, nx), px."""
     return slopes(u, v, _TYPICAL_AREA)
 
 
 def _last_sums(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Return the sums of `final_sums`, (12, ny, nx), with the Hessian of image a in planes 2 to 4."""
+    """Return the sums of `final_sums`, (12, ny, nx), with the Hessian of image a in planes 2 to 4.
+    `slope` (4, ny, nx) are the gradients of the displacement u, v (ny, nx), px. Sums of unusable blocks are
+    0."""
     pair.update_weights(u, v)
     sums = np.empty((12, *u.shape), np.float32)
     final_sums(pair.a.padded, pair.b.padded, u, v, slope, pair.work, sums)
@@ -235,7 +241,7 @@ def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> 
 
 
 def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displacement:
-    """Take `count` Gauss-Newton steps on the finest level, from u, v (ny, nx), px, and assess the blocks."""
+    """Take `count` Gauss-Newton steps on the finest level, from u, v (ny, nx), px, and assess blocks."""
     before_u, before_v = _plain_steps(pair, u, v, count - 1)
     sums = _last_sums(pair, before_u, before_v, _slopes(before_u, before_v))
     u, v, outlier = pair.advance(before_u, before_v, pair.windows(sums[:2]), count - 1)
@@ -248,10 +254,11 @@ def reevaluate(
     """Compute scores, Hessians and validity of the blocks again, at the displacement u, v (ny, nx), px.
 
     A displacement with gradients e_jk = du_j/dx_k strains the sampled images of beads, while real beads keep
-    their shape. The residual of beads then contains e_jj a + s^2 e_jk a_jk, with second derivatives a_jk and
-    the variance s^2 of a bead's image (of a blurred texture, only the second term). A complete bead adds
-    nothing to the score, but a bead that is cut by the edge of a block does. Therefore c e_jj a + s^2 e_jk
-    a_jk, with 0 < c < 1, is fitted to the scores and subtracted.
+    their shape. The residual a - b of beads then contains e_jj a + s^2 e_jk a_jk, with second derivatives
+    a_jk of image a and the variance s^2 of a bead's image (of a blurred texture, only the second term). A
+    complete bead adds nothing to the score, but a bead that is cut by the edge of a block does. Therefore c
+    e_jj a + s^2 e_jk a_jk, with 0 < c < 1, is fitted to the scores and subtracted. Repeated indices are
+    summed.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
     slope = _slopes(u, v)
@@ -264,11 +271,12 @@ def reevaluate(
 def scores_at(
     found: Displacement, a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray
 ) -> Displacement:
-    """Return the match `found` of two cameras with scores and Hessians at a new u, v (ny, nx), float32, px.
+    """Return the match `found` of two cameras with scores and Hessians at a new u, v (ny, nx), px.
 
     Two cameras see a bead unequally bright, so that a block with a part of it would seem to move. Every pixel
     therefore counts in the block that contains the brightest point of its bead. The validity of the blocks
-    stays that of `found`; scores and Hessians are 0 for blocks that are not usable, and next to them.
+    stays that of `found`; scores and Hessians are 0 in unusable blocks and in the eight blocks around each of
+    them.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     pair.update_weights(u, v)
@@ -286,7 +294,8 @@ def scores_at(
 def _search(
     a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], settings: MatchSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Search the displacement (ny, nx), px, over whole-pixel shifts in inclusive ranges, with parabolas."""
+    """Return u and v (ny, nx), px, from a search over whole-pixel shifts, refined by parabolas.
+    `x_range` and `y_range` are the first and the last shift, px of this level."""
     ny, nx = a.blocks
     w = nx * BLOCK
     margin = max(abs(n) for n in (*x_range, *y_range)) + 1
@@ -308,8 +317,9 @@ def _search(
 
 
 def _peaks(correlation: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the shift u, v (ny, nx), px, of largest correlation of each block, refined by parabolas.
-    `correlation` is (row shifts, ny, column shifts, nx + 2 border), from first_x, first_y on."""
+    """Return the shifts u, v (ny, nx), px, of largest correlation for each block, refined by parabolas.
+    `correlation` is (row shifts, ny, column shifts, nx + 2 border), for shifts from first_x and first_y on,
+    px."""
     rows, ny, n, width = correlation.shape
     nx = width - 2 * border
     by_block = correlation[..., border : border + nx].transpose(1, 3, 0, 2)
@@ -331,9 +341,9 @@ def _peaks(correlation: np.ndarray, border: int, first_x: int, first_y: int) -> 
 def _assess(
     pair: _LevelPair, u: np.ndarray, v: np.ndarray, sums: np.ndarray, step: np.ndarray, outlier: np.ndarray
 ) -> Displacement:
-    """Return the displacement u, v with the correlation, scores and validity of its blocks.
-    `sums` (12, ny, nx) are those of `_last_sums`; the last step, (2, ny, nx), px, led from there to u, v.
-    Blocks are an `outlier` (ny, nx) where the displacement was replaced by that of the neighbours."""
+    """Return the displacement u, v (ny, nx), px, with the correlation, scores and validity of its blocks.
+    `sums` (12, ny, nx) come from `_last_sums`, before the last step (2, ny, nx), px. `outlier` (ny, nx) is
+    True where the median of the neighbours replaced the displacement."""
     windowed = pair.windows(sums[5:])
     correlation, energy = _correlation(windowed, pair.coverage)
     # `sums` holds the Hessian of image a, noise included. `ratio` is the common gradient energy over that of
@@ -348,7 +358,9 @@ def _assess(
 
 
 def _correlation(windowed: np.ndarray, coverage: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the normalised correlation and the gradient energy ga gb of the windows, each (ny, nx)."""
+    """Return the normalised correlation and the gradient energy ga gb of windows, each (ny, nx).
+    `windowed` (7, ny, nx) are the moments of `_strip_sums`, and `coverage` (ny, nx) the usable fraction of
+    each window."""
     rr, sa, aa, sr, ar, ab = windowed[:6]
     power = float(aa.mean() / F(BLOCK * BLOCK))
     least = F((1e-4 * power + 1e-12) ** 2)
@@ -369,7 +381,8 @@ def _reasons(
     correlation: np.ndarray,
     energy: np.ndarray,
 ) -> np.ndarray:
-    """Return why blocks are not valid: bits of `Reason`, (ny, nx), from the results of `_correlation`."""
+    """Return why blocks are not valid: bits of `Reason`, (ny, nx); 0 for valid blocks.
+    `correlation` and `energy` come from `_correlation`; `outlier` is as in `_assess`."""
     settings, shape = pair.settings, pair.b.shape
     inside, weight = np.empty((2, *u.shape), np.float32)
     block_weights(NO_MASK, NO_MASK, u, v, *shape, inside)
@@ -395,6 +408,6 @@ def _reasons(
 
 
 def _sparse_median(field: np.ndarray, usable: np.ndarray) -> float:
-    """Return the median over every third usable block (windows overlap); 0 without any."""
+    """Return the median of a field over every third `usable` block along x and y; 0 if there is none."""
     every_third = field[::3, ::3][usable[::3, ::3]]
     return float(np.median(every_third)) if every_third.size else 0.0

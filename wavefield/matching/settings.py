@@ -38,10 +38,11 @@ class MatchSettings:
     min_correlation : float
         Blocks with a lower normalised correlation are invalid.
     min_gradient_energy : float
-        Blocks below this fraction of the image's median gradient energy are invalid.
+        Blocks with a lower gradient energy (mean squared brightness gradient) than this fraction of the
+        image's median are invalid.
     max_deviation : float
         Blocks that differ by more than this, px, from the median of 5 x 5 blocks get the median instead;
-        those of the last step are also invalid.
+        blocks to which this happens in the last step are invalid.
     """
 
     __pydantic_config__ = CHECKED
@@ -137,9 +138,9 @@ class Displacement:
         residual at this displacement. The score is zero if the displacement minimises the squared residual of
         the block alone.
     hessian : (3, ny, nx) float32
-        Sums over every block of gx gx, gx gy, gy gy, reduced to the gradients common to both images. The
-        inverse of this 2 x 2 matrix times the score is the correction of the displacement from the block
-        alone.
+        Sums over every block of gx gx, gx gy, gy gy, times the fraction of the gradient energy that both
+        images share. The inverse of this 2 x 2 matrix times the score is the correction of the displacement
+        that the block alone gives.
     """
 
     u: np.ndarray

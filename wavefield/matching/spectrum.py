@@ -1,7 +1,8 @@
 """Prior spectrum of a field on a lattice of blocks, rings of wavenumber, and the footprint of a block.
 
 The prior is learned once per run from sample frames (learned_spectrum.py) and stored with the results, so
-that all frames are weighted alike. Wavenumbers of a field are in rad per block: a wave of two blocks has pi.
+that all frames are weighted alike. Wavenumbers are in rad per block: a wave as long as two blocks has the
+wavenumber pi.
 """
 
 from __future__ import annotations
@@ -59,13 +60,13 @@ class Prior:
         Factor on the noise variance that `noise_of_scores` estimates. It makes the misfit between several
         cameras agree with chi^2.
     wave_fraction : float
-        Fraction of the spectrum that is waves. The rest is noise of long wavelength, as on still water, and
-        does not count as missing waves in the uncertainty.
+        Fraction of the spectrum that is waves. The rest is noise of long wavelength, as on still water; the
+        uncertainty does not count it as waves that the measurement misses.
     detected : tuple of tuple of bool
-        For every component, the wavenumbers at which waves stand out from the noise; empty if all do. At the
-        others the power is the upper limit of waves that may be there undetected.
+        For every component and wavenumber, whether waves stand out from the noise; empty if they do at all.
+        Where they do not, the power is the upper limit of waves that may be there undetected.
     undetected_fraction : float
-        Fraction of these upper limits that the sample fields contain.
+        Fraction of these upper limits that the power in the sample fields amounts to.
     area : float
         Variance of the area that a block's value averages over, px^2.
 
@@ -102,8 +103,9 @@ class Prior:
         return footprint(kx, ky, self.area)
 
     def with_min_signal_to_noise(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
-        """Return the prior with its spectrum raised to this ratio of signal to noise, below 2 rad per block.
-        A spectrum learned with a prior that is too small would again be too small."""
+        """Return the prior, its spectrum raised to at least this signal-to-noise ratio below 2 rad per block.
+        Learning starts from a raised prior, because one that is too small gives a spectrum that is again too
+        small."""
         k = np.array(self.k)
         least = ratio / (self.footprint(k, np.zeros(1)) ** 2 * self.information)
         table = np.maximum(self.power, np.where(k < SHORTEST_WAVENUMBER, least, 0.0))
@@ -111,7 +113,7 @@ class Prior:
         return replace(self, power=power)
 
     def spectrum(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Return the spectrum S, (component, ...), at wavenumbers kx, ky, rad per block."""
+        """Return the spectrum S, (component, ...), at wavenumbers kx, ky (...), rad per block."""
         table = np.log(np.maximum(self.power, 1e-30))  # a field without motion has power 0
         directions = table.shape[1]
         at = np.interp(np.hypot(kx, ky), self.k, np.arange(len(self.k)))
@@ -128,24 +130,26 @@ class Prior:
         return np.asarray(np.exp(out))
 
     def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Return the fraction of `spectrum` that is expected to be waves, (component, ...).
-        It is `wave_fraction`, times `undetected_fraction` where the spectrum is an upper limit."""
+        """Return the fraction of `spectrum` that is expected to be waves, (component, ...), at kx, ky (...).
+        It is `wave_fraction`, times `undetected_fraction` at wavenumbers where the spectrum is only an upper
+        limit."""
         detected = np.array(self.detected or [[True] * len(self.k)])
         fraction = self.wave_fraction * np.where(detected, 1.0, self.undetected_fraction)
         return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in fraction])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Return the ratio F^2 A S, (component, ...): footprint F, information A and spectrum S."""
+        """Return the ratio F^2 A S, (component, ...): footprint F, information A, spectrum S at kx, ky."""
         return np.asarray(self.footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
 
     def gain(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Return the amplitude gain R / (R + 1) of the MAP field, R = `signal_to_noise`, (component, ...)."""
+        """Return the amplitude gain R / (R + 1) of the MAP field, (component, ...), R = `signal_to_noise`."""
         ratio = self.signal_to_noise(kx, ky)
         return np.asarray(ratio / (ratio + 1.0))
 
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the variances (component,) of a MAP field on a lattice (ny, nx), from waves and from noise.
-        They are means over all modes but the constant one of G^2 S and G^2 / (F^2 A), with the gain G."""
+        """Return two variances (component,) of a MAP field on a lattice (ny, nx): from waves, and from noise.
+        They are the means of G^2 S and of G^2 / (F^2 A) over all modes but the constant one, with the gain
+        G."""
         kx, ky = wavenumbers(shape)
         squared_gain = np.square(self.gain(kx, ky))
         squared_gain[:, 0, 0] = 0.0
@@ -153,7 +157,7 @@ class Prior:
         return (squared_gain * self.spectrum(kx, ky)).mean(axis=(1, 2)), noise.mean(axis=(1, 2))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the prior as plain data (numbers, lists) for the recipe that is stored with the results."""
+        """Return the prior as plain data (numbers, lists), to be stored with the results."""
         names = ("information", "noise", "wave_fraction", "undetected_fraction", "area")
         tables = {
             "k": list(self.k),
@@ -174,14 +178,15 @@ class Prior:
 
 
 def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the wavenumbers kx (nx,) and ky (ny, 1) of cosines on a lattice (ny, nx), rad per block."""
+    """Return the wavenumbers kx (nx,) and ky (ny, 1), rad per block, of the cosines on a lattice (ny, nx)."""
     ky, kx = (np.pi * np.arange(n) / n for n in shape)
     return kx, ky[:, None]
 
 
 class WavenumberRings:
-    """Means over rings (bins of wavenumber) and their six sectors of direction, of modes kx, ky (my, 1).
-    `middle` (rings,) is in rad per block; `count` (rings,), `sector_count` (sectors, rings) count modes."""
+    """Sorts modes kx (mx,), ky (my, 1) into rings (bins of wavenumber) and six sectors, and averages there.
+    Sectors are ranges of direction. `middle` (rings,) are wavenumbers, rad per block; `count` (rings,) and
+    `sector_count` (sectors, rings) numbers of modes; `of_modes` (my, mx) is the ring of each mode."""
 
     def __init__(self, kx: Float, ky: Float) -> None:
         edges = np.linspace(0, np.pi, RINGS + 1)
@@ -194,24 +199,24 @@ class WavenumberRings:
         self.sector_count = np.bincount(self._sector, minlength=SECTORS * RINGS).reshape(SECTORS, RINGS)
 
     def mean(self, field: NDArray[Any]) -> NDArray[np.float64]:
-        """Return the mean over each ring of a field (my, mx) of the modes, (rings,); 0 in empty rings."""
+        """Return the mean over each ring, (rings,), of an array (my, mx) over the modes; 0 in empty rings."""
         total = np.bincount(self.of_modes.ravel(), field.ravel(), minlength=RINGS)
         return np.asarray(total / np.maximum(self.count, 1))
 
     def rings(self, fields: Float) -> NDArray[np.float64]:
-        """Return the means over each ring of fields (c, my, mx) of the modes, (c, rings)."""
+        """Return the mean over each ring, (c, rings), of arrays (c, my, mx) over the modes."""
         return np.array([self.mean(field) for field in fields])
 
     def sectors(self, fields: Float) -> NDArray[np.float64]:
-        """Return the means over each sector of each ring of fields (c, my, mx), (c, sectors, rings)."""
+        """Return the mean over each sector of each ring, (c, sectors, rings), of arrays (c, my, mx)."""
         size = self.sector_count.size
         total = np.array([np.bincount(self._sector, field.ravel(), minlength=size) for field in fields])
         return np.asarray(total.reshape(-1, SECTORS, RINGS) / np.maximum(self.sector_count, 1))
 
     def significant(self, ratio: Float) -> NDArray[np.bool_]:
-        """Return a mask (rings,), True for rings whose power stands out from the noise, and the first three.
-        The `ratio` of power to noise is above 0.3 in this ring and all before, or it is above 1.5 here and on
-        average over three rings, at less than 2 rad per block."""
+        """Return a mask (rings,), True for rings whose `ratio` (rings,) of power to noise shows waves.
+        These are the first three; those up to the first with a ratio below 0.3; and any below 2 rad per block
+        in which the ratio exceeds 1.5, both alone and averaged with its two neighbours."""
         occupied = self.count > 0
         last = self.count_until_false(occupied & (ratio > DETECTED_SIGNAL_TO_NOISE))
         total, count = (np.convolve(f, np.ones(3), mode="same") for f in (ratio * self.count, self.count))
@@ -220,8 +225,9 @@ class WavenumberRings:
         return np.asarray((np.arange(RINGS) < last) | beyond_gap)
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
-        """Return the ratio of power to noise, (rings,), averaged over five neighbouring rings.
-        The first four rings do not count, because they contain calibration errors."""
+        """Return the ratio (rings,) of power to noise, averaged over five neighbouring rings.
+        Modes have equal weights. The first four rings, which contain calibration errors, get the value of the
+        next one."""
         count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")
@@ -232,7 +238,7 @@ class WavenumberRings:
 
     @staticmethod
     def count_until_false(flags: NDArray[np.bool_]) -> int:
-        """Return the number of flags before the first False, or 3 if there are fewer."""
+        """Return the number of flags before the first False, but at least 3."""
         return max(int(np.argmin(flags)) if not flags.all() else len(flags), 3)
 
 
@@ -243,7 +249,7 @@ def footprint(kx: np.ndarray, ky: np.ndarray, variance: float = FOOTPRINT_VARIAN
 
 
 def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
-    """Average fields (c, ny, nx) over an area around each block with this variance along each axis, px^2."""
+    """Average fields (c, ny, nx) around each block over an area of this variance along each axis, px^2."""
     side = 0.5 * variance / BLOCK**2
     kernel = np.array([side, 1.0 - 2.0 * side, side])
     return np.stack(
@@ -253,7 +259,8 @@ def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
 
 def displacement_area(bead_width: float) -> float:
     """Return the variance, px^2, of the area over which a block's displacement averages the motion.
-    The block adds 25/12, beads of the width w add w^2 / 3 (measured with drawn beads of 1.5 to 4.2 px).
+    The block adds 25/12, beads of width w, px, w^2 / 3 (measured with drawn beads of 1.5 to 4.2 px), and the
+    last part, RESTORED_VARIANCE, offsets the damping of short waves by the prior.
 
     >>> [round(displacement_area(width), 2) for width in (1.5, 3.0)]
     [4.03, 6.28]

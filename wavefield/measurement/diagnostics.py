@@ -1,4 +1,4 @@
-"""Agreement of the cameras in a single step: the error measures of the paper's accuracy section."""
+"""Agreement of the cameras in a single step: differences between pairs of cameras, as accuracy measures."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ class Diagnosis:
 
     @property
     def difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
-        """Elevation from one pair of cameras minus that from another, (ny, nx), metres; for each two."""
+        """Elevation by one pair of cameras minus that by another, (ny, nx), metres; for every two pairs."""
         return {(p, q): self.z[p] - self.z[q] for p, q in combinations(self.z, 2)}
 
     @property
     def moved_difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
-        """Displacement by one pair of cameras minus that by another, (3, ny, nx), metres; for each two."""
+        """Displacement from one pair minus that from another, (3, ny, nx), metres; for every two pairs."""
         return {(p, q): self.moved[p] - self.moved[q] for p, q in combinations(self.moved, 2)}
 
     def table(self) -> list[dict[str, Any]]:
@@ -116,12 +116,13 @@ class Diagnosis:
 
 
 def joined(cameras: Sequence[str]) -> str:
-    """Names of cameras joined by hyphens: "cam3-cam1"."""
+    """Return names of cameras joined by hyphens, such as "cam3-cam1"."""
     return "-".join(cameras)
 
 
 def rms_within(values: NDArray[Any]) -> tuple[float, float]:
-    """Return the rms of finite values without those beyond three times the rms of all, and their fraction."""
+    """Return the rms of the values without outliers, and the fraction of outliers; only finite values count.
+    Outliers are beyond three times the rms of all."""
     values = values[np.isfinite(values)]
     if values.size == 0:
         return float("nan"), 0.0
@@ -205,8 +206,9 @@ def diagnose(
 def _learned(
     frames: Frames, geometry: GridGeometry, model: Model | None, masks: Frames
 ) -> tuple[GridGeometry, Model, Images, Images]:
-    """Return geometry, model (learned from these frames if None) and the prepared images of both frames.
-    Raises ValueError if a camera has no usable frame or nothing can be learned."""
+    """Return the geometry, the model, and the prepared images of the first and of the second frame.
+    If `model` is None, it is learned from these frames. Raises ValueError if a camera has no usable frame, or
+    if nothing can be learned."""
     instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
     covered = [{n: masks[n][k] for n in masks} for k in (0, 1)]
     if model is None:
@@ -225,7 +227,8 @@ def _learned(
 
 
 def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
-    """Return the match between the second cameras of two pairs that share the first: `one` minus `other`."""
+    """Return the match between the second cameras of two pairs with the same first camera.
+    Displacement and parallax are those of pair `one` minus those of pair `other`."""
     d, parallax = one.difference - other.difference, one.parallax - other.parallax
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / np.hypot(*parallax)
     rejected, matched = one.rejected | other.rejected, one.matched & other.matched
@@ -233,7 +236,7 @@ def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
 
 
 def _matched(flat: PreparedImages, geometry: GridGeometry) -> dict[Pair, PairMatch]:
-    """Match all pairs of cameras: those of the geometry, and each two of their second cameras directly."""
+    """Match the pairs of the geometry, and every two of the second cameras of these pairs directly."""
     pairs = [*geometry.pairs, *combinations([b for _, b in geometry.pairs], 2)]
     return {(a, b): match_pair(flat[a], flat[b], (a, b), geometry) for a, b in pairs}
 
@@ -246,7 +249,8 @@ def _moved(
     model: Model,
 ) -> tuple[dict[Pair, NDArray[Any]], dict[tuple[str, ...], NDArray[Any]], list[float]]:
     """Return `moved` and `eps_piv` of `Diagnosis`, and the median standard uncertainties of dx, dy, dz, m.
-    `middle` (ny, nx) is the elevation half-way between the two frames, whose images are `views`, metres."""
+    `views` are the images of both frames, `middle` (ny, nx) the elevation half-way between them, metres;
+    `pairs` are the pairs of cameras."""
     moved: dict[Pair, NDArray[Any]] = {}
     eps_piv: dict[tuple[str, ...], NDArray[Any]] = {}
     moves = flows(views[0].in_time(), views[1].in_time(), geometry.settings.piv, model)
@@ -275,8 +279,9 @@ def diagnose_around(
     middle: int,
     pixel: float,
 ) -> Diagnosis | None:
-    """Compare the cameras (`diagnose`) in the first of the steps nearest to `middle` that can be compared.
-    `read(camera, frame)` returns an image or None; None is returned if MAX_TRIED_STEPS steps fail."""
+    """Compare the cameras (`diagnose`) in one step: of those that can be compared, the nearest to `middle`.
+    `read(camera, frame)` returns an image or None. Returns None if the MAX_TRIED_STEPS steps nearest to
+    `middle` fail."""
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:MAX_TRIED_STEPS]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}
         try:

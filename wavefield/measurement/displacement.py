@@ -1,4 +1,4 @@
-"""The MAP displacement of one camera's image from one frame to the next."""
+"""The MAP (most probable) displacement of one camera's image from one frame to the next."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STILL_WATER_VARIANCE = 8e-4  # px^2: lower bound of the variance in the sample s
 
 @dataclass(frozen=True)
 class CameraFlow:
-    """One camera's displacement from one frame to the next, interpolated between blocks."""
+    """One camera's displacement from one frame to the next, interpolated between blocks, with variances."""
 
     spline: Float  # (ny, nx, 2): spline coefficients on the lattice of blocks, px of the binned image
     noise: Float  # (1 or 2, ny, nx): variance due to noise, px^2, common to both components or of each
@@ -65,13 +65,14 @@ class FlowEstimate:
 
 
 def filled(found: matching.Displacement) -> Float:
-    """Return u and v of a match, (2, ny, nx), px, with invalid blocks filled by means of those around."""
+    """Return u and v of a match, (2, ny, nx), px, with invalid blocks filled by means of blocks around."""
     return push_pull(np.stack([found.u, found.v]), found.valid)
 
 
 def harmonics(midway: Float) -> Float:
     """Return the displacement at start points minus that at midpoints, (D . grad) D / 2, (2, ny, nx), px.
-    D = `midway` (2, ny, nx), px. The mean of the factor D is excluded: common motion only shifts waves."""
+    D = `midway` (2, ny, nx), px, is the displacement at midpoints. The mean of the factor D before grad is
+    subtracted, because a common motion only shifts waves."""
     x, y = midway
     xx, xy, yx, yy = slopes_of(x, y)
     x, y = x - x.mean(), y - y.mean()
@@ -85,8 +86,9 @@ def map_displacement(
     modes: Modes,
     with_harmonics: bool = False,
 ) -> FlowEstimate:
-    """Estimate the most probable displacement (MAP) between two images, starting from their match.
-    `with_harmonics` subtracts `harmonics`; while spectra are learned, fields are too noisy for that."""
+    """Estimate the most probable displacement (MAP) from image `one` to `other`, starting from their match.
+    `with_harmonics` subtracts the second-harmonic error (`harmonics`); fields are too noisy for that while
+    spectra are learned."""
     found = match
     u = filled(match)
     edges, waves = modes.split(u)
@@ -132,8 +134,9 @@ def flows(
     settings: matching.MatchSettings,
     model: Model,
 ) -> dict[str, CameraFlow]:
-    """Return the most probable displacement (MAP) of every camera that has a first and a second image.
-    A camera is rejected (out of range) if it moves far more than in the sample steps of `model`."""
+    """Return, by camera, the most probable displacement (MAP) between the first and the second image.
+    Cameras without one of the images are left out. All blocks of a camera are rejected as out of range if its
+    image moves far more than in the sample steps from which `model` was learned."""
     out, learned = {}, dict(model.record.motion)
     for name in first:
         if name in second:
@@ -149,13 +152,13 @@ def flows(
 
 
 def motion_variance(found: matching.Displacement) -> float:
-    """Return the variance of u plus that of v over the valid blocks, px^2; 0 without any."""
+    """Return the variance of u plus that of v over the valid blocks, px^2; 0 if no block is valid."""
     valid = found.valid
     return float(np.var(found.u[valid]) + np.var(found.v[valid])) if valid.any() else 0.0
 
 
 def camera_flow(found: FlowEstimate, model: FieldModel) -> CameraFlow:
-    """Return the displacement `found` as spline coefficients with variances, for interpolation."""
+    """Return the estimate `found` as spline coefficients, for interpolation, with its variances."""
     noise, missing = model.spread(found.information)
     spline = model.splined(found.waves, found.edges + found.harmonics)
     return CameraFlow(spline, noise, missing, why_rejected(found.found.reason))

@@ -1,4 +1,4 @@
-"""Elevation of one instant: the MAP field from all pairs of cameras together, interpolated to the nodes."""
+"""Elevation at one instant: the MAP field from all pairs of cameras together, interpolated to the nodes."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ class Blocks:
 
     @property
     def filled(self) -> Float:
-        """Elevation with holes filled by means of the blocks around, (1, ny, nx), metres."""
+        """Elevation, (1, ny, nx), metres, with holes filled by means of the blocks around."""
         return push_pull(self.z[None], self.valid)
 
 
 def combine(matches: Sequence[PairMatch]) -> Blocks:
-    """Compute the elevation of each block by least squares over the pairs that are valid there.
-    With difference d and parallax dD (`match_pair`): z = -sum dD . d / sum |dD|^2."""
+    """Return the elevation of each block, by least squares over the pairs that are valid there.
+    With difference d and parallax dD of a pair (`match_pair`): z = -sum dD . d / sum |dD|^2."""
     shape = matches[0].eps_y.shape
     along, across, square, length = np.zeros((4, *shape), np.float32)
     rejected = np.zeros(shape, np.uint16)
@@ -74,7 +74,7 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
 
 @dataclass
 class ElevationEstimate:
-    """Most probable (MAP) elevation of one instant: a series of cosines plus a smooth field, `edges`."""
+    """Most probable (MAP) elevation at one instant: a series of cosines plus a smooth field, `edges`."""
 
     waves: Float  # (1, my, mx): cosine coefficients, metres
     edges: Float = field(repr=False)  # (1, ny, nx): smooth part (`Modes.split`), metres
@@ -96,7 +96,9 @@ def map_elevation(
     noise_across: bool = True,
 ) -> ElevationEstimate:
     """Estimate the most probable elevation (MAP) from the matches of all pairs and `blocks`, from `combine`.
-    A block with score s and Hessian H for displacements has -dD . s and dD H dD for z (parallax dD)."""
+    With parallax dD, score s and Hessian H of a block for displacements become -dD . s and dD H dD for z.
+    The noise is that across the sight lines, or of the scores for z if not `noise_across`; `pixel` is in
+    metres."""
     z = blocks.filled
     edges, waves = modes.split(z)
     pairs = [_PairScores(m, pixel) for m in matches]
@@ -130,7 +132,7 @@ def map_elevation(
 
 
 def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float) -> float:
-    """Return the mean inverse variance of z over blocks with information, m^-2, before the MAP estimate."""
+    """Return the mean inverse variance of z, m^-2, over blocks with information, before a MAP estimate."""
     pairs = [_PairScores(m, pixel) for m in matches]
     z = blocks.filled[0]
     hessian = np.sum([one.hessian for one in pairs], axis=0)
@@ -140,20 +142,21 @@ def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float
 
 
 def _noise(score: Float, hessian: Float, freedom: float) -> Float:
-    """Return the variance of the scores for z per unit of their Hessian, (ny, nx) (`noise_of_scores`)."""
+    """Return the variance of the scores for z per unit of their Hessian, (ny, nx), by `noise_of_scores`."""
     return noise_of_scores(score[None], hessian, (hessian > 0).astype(np.float32), freedom)
 
 
 def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
-    """Return the variance of scores per unit of their Hessian across the sight lines, times NOISE_MARGIN.
-    `smooth` (ny, nx), the calibration's part of the error there (`_smooth_across`), is subtracted."""
+    """Return the variance of scores across the sight lines per unit of their Hessian, times NOISE_MARGIN.
+    The calibration's part of the error there, `smooth` (ny, nx) from `_smooth_across`, is subtracted
+    first."""
     parts = [one.across(smooth) for one in pairs]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     return np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
 
 
 def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:
-    """Return the smooth part of the epipolar error, (ny, nx), and its rms without noise, metres of z."""
+    """Return the smooth part (ny, nx) of the epipolar error, as metres of z, and its rms without noise."""
     waves = modes.waves(combine([m.turned for m in matches]).filled)
     smooth = np.zeros_like(waves)
     smooth[:, :_SMOOTH_MODES, :_SMOOTH_MODES] = waves[:, :_SMOOTH_MODES, :_SMOOTH_MODES]
@@ -168,7 +171,7 @@ def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, f
 
 
 class _PairScores:
-    """Scores and Hessians of one pair for the elevation."""
+    """Scores and Hessians of one pair of cameras for the elevation; `pixel` is in metres."""
 
     def __init__(self, match: PairMatch, pixel: float) -> None:
         self.match, self.found = match, match.found
@@ -182,7 +185,8 @@ class _PairScores:
         self.hessian = _through(self.D, self._hessian)
 
     def reevaluate(self, z: Float, prepared: PreparedImages, whole_beads: bool) -> None:
-        """Compute the scores and Hessians again at the elevation z (ny, nx), metres, and store them."""
+        """Compute scores and Hessians again at the elevation z (ny, nx), metres, and keep them.
+        With `whole_beads`, a bead counts in one block only (`scores_at`)."""
         rise = z - self._height
         a, b = (prepared[name] for name in self.match.pair)
         u, v = self.match.found.u - self.D[0] * rise, self.match.found.v - self.D[1] * rise
@@ -191,12 +195,12 @@ class _PairScores:
         self._weigh()
 
     def score(self, z: Float) -> Float:
-        """Return the score for z (ny, nx), metres, extrapolated from the last evaluation."""
+        """Return the scores at z (ny, nx), metres, extrapolated from the elevation of the last evaluation."""
         return self._score(self.D, self.hessian, self.here - z)
 
     def across(self, smooth: Float) -> tuple[Float, Float]:
-        """Return score and Hessian (ny, nx) for displacements across the sight lines, less the part `smooth`.
-        No elevation causes such displacements; they are expressed in metres of elevation."""
+        """Return scores and Hessians (ny, nx) for displacements across the sight lines, as if due to z, m.
+        No elevation causes such displacements. The part `smooth` (ny, nx), metres, is subtracted."""
         D = quarter_turn(self.D)
         hessian = _through(D, self._hessian)
         return self._score(D, hessian, self.match.turned.height - smooth), hessian
@@ -212,8 +216,8 @@ def _through(D: Float, h: Float) -> Float:
 
 
 def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
-    """Return a mask (ny, nx) of blocks at which the z of successive pairs, matched alone, differ by > 1.5 px.
-    This finds errors larger than a bead, which scores do not show. `pixel` is in metres."""
+    """Return a mask (ny, nx) of blocks where successive pairs, each alone, give z that differ by over 1.5 px.
+    This finds errors larger than a bead, which the scores do not show. `pixel` is in metres."""
     out = np.zeros(matches[0].eps_y.shape, bool)
     for one, other in pairwise(matches):
         lengths = (np.sqrt(np.sum(np.square(m.parallax), axis=0)) for m in (one, other))
@@ -227,7 +231,8 @@ def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
 
 def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
     """Return a mask (ny, nx) of blocks where successive pairs would correct the common z differently.
-    Scores and Hessians are for z; `lengths` (ny, nx) are parallaxes, px/m. This finds shifts of one pixel."""
+    This finds shifts of one pixel. Scores and Hessians (ny, nx) of each pair are for z; `lengths` (ny, nx)
+    are the parallaxes, px/m."""
     means = [
         (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
         for s, h in zip(scores, hessians, strict=True)
@@ -245,7 +250,7 @@ def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], leng
 
 
 def widened(where: Mask) -> Mask:
-    """Return the mask (ny, nx) with its True area extended by two blocks, the reach of a window."""
+    """Return the mask (ny, nx), its True areas extended by two blocks, the reach of a window."""
     return np.asarray(cv2.dilate(where.view(np.uint8), _WINDOW_REACH) > 0)
 
 
@@ -254,7 +259,7 @@ MatchedPairs = tuple[Blocks, list[PairMatch]]
 
 @dataclass(frozen=True)
 class Surface:
-    """Elevation of one instant at the nodes of the grid."""
+    """Elevation at one instant, at the nodes of the grid, with variances and flags."""
 
     z: Float  # (ny, nx): elevation, metres
     eps_y: Float  # (ny, nx): epipolar error, metres
@@ -270,7 +275,7 @@ class Surface:
 
 
 def surface(prepared: PreparedImages, geometry: GridGeometry, model: FieldModel) -> Surface | None:
-    """Measure z at the nodes from rectified images; z = 0 for a light sheet. None if too few blocks match."""
+    """Measure z at the nodes from rectified images; a light sheet has z = 0. None if too few blocks match."""
     if geometry.settings.sheet_thickness is not None:
         return _sheet(geometry.grid.shape)
     found = match_pairs(prepared, geometry)
@@ -284,7 +289,7 @@ def surface_of(
     geometry: GridGeometry,
     model: FieldModel,
 ) -> Surface:
-    """Estimate the elevation at the nodes from the matches of all pairs (the results of `match_pairs`)."""
+    """Estimate the elevation at the nodes from the two results of `match_pairs`, `blocks` and `matches`."""
     estimate = map_elevation(blocks, matches, prepared, model.modes, geometry.pixel, model.whole_beads)
     spline = model.splined(estimate.waves, estimate.edges)
     (noise,), (missing,) = model.spread(estimate.information)
@@ -330,7 +335,8 @@ def _sheet(shape: tuple[int, int]) -> Surface:
 
 def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPairs | None:
     """Match the images of all pairs at one instant; None if too few blocks match.
-    The reference may be blank: the match is then repeated without it, if two cameras are left."""
+    If the image of the reference is blank, the match is repeated without this camera, as long as two are
+    left."""
     present = tuple(prepared)
     while pairs := geometry.pairs_for(present):
         reference = pairs[0][0]

@@ -61,7 +61,7 @@ SEEN_BY_BLOCKS = 0.11
 
 
 class WaveRings(NamedTuple):
-    """The waves of a record, from its learned spectrum, in rings (bins of wavenumber), each (rings,)."""
+    """Waves of a record in rings (bins of wavenumber), from its learned spectrum; each field is (rings,)."""
 
     k: Float  # rad/m
     variance: Float  # of z, m^2
@@ -75,8 +75,8 @@ def error_budget(
     frame_rate: float,
     times: Float,
 ) -> dict[str, Float]:
-    """Return the variances of z, dx, dy, dz (displacement per step) by name of the term, (4, ny, nx), m^2.
-    `times` (6,) of the frames are in frame intervals from mid-time; `frame_rate` is in Hz."""
+    """Return the variances (4, ny, nx), m^2, of z, dx, dy, dz (displacement per step), by name of the term.
+    `times` (6,) are those of the frames, in frame intervals from mid-time; `frame_rate` is in Hz."""
     waves = detected_waves(record.elevation, geometry.pixel, frame_rate)
     return {
         "noise": noise(estimate),
@@ -88,7 +88,7 @@ def error_budget(
 
 
 def noise(estimate: StepEstimate) -> Float:
-    """Return the noise part of the posterior variance, (4, ny, nx), m^2, propagated along the paths.
+    """Return the variance from image noise, (4, ny, nx), m^2: the noise part of the posterior variance.
     If N cameras disagree by more (chi^2 > 1), velocities get the factor (1 + (2N - 3) chi^2) / (2N - 2)."""
     motion, surfaces = estimate.motion, estimate.nearest
     z = np.mean([one.noise for one in surfaces], axis=0)
@@ -97,14 +97,15 @@ def noise(estimate: StepEstimate) -> Float:
 
 
 def removed_by_prior(estimate: StepEstimate) -> Float:
-    """Return the variance of waves that the prior suppresses, (4, ny, nx), m^2; all cameras miss the same."""
+    """Return the variance of waves that the prior suppresses, (4, ny, nx), m^2, in all cameras alike."""
     z = np.mean([one.missing for one in estimate.nearest], axis=0)
     return np.concatenate([z[None], estimate.motion.missing])
 
 
 def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int, times: Float) -> Float:
     """Return the variance lost between the frames, (4, ny, nx), m^2: sum over the waves of S |1 - K(p)|^2.
-    S is the variance of a wave, p its phase per frame, K the gain; for dx, dy, dz times p^2."""
+    S is the variance of a wave, p its phase per frame, K the gain of z; for dx, dy, dz see `lost_by_paths`,
+    with the kind of paths `path_frames`. `times` (6,) of the frames are in frame intervals from mid-time."""
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     for count in np.unique(estimate.mid_time.frames).tolist():
         out[0][estimate.mid_time.frames == count] = lost_by_elevation(waves, count, times)
@@ -117,8 +118,9 @@ def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int
 
 
 def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> float:
-    """Return the variance of z, m^2, of waves that start or stop within the six frames.
-    Noise and steady waves make z from 6 and 4 frames differ by noise sum (w6 - w4)^2 + sum S |K6 - K4|^2."""
+    """Return the variance of z, m^2, due to waves that start or stop within the six frames.
+    They show in z from six minus z from four frames, which otherwise has the variance noise sum (w6 - w4)^2 +
+    sum S |K6 - K4|^2, with the weights w of the frames, the gains K and the variances S of the waves."""
     six, four = (frame_weights(times, FRAMES_OF_Z[n])[0] for n in (6, 4))
     apart = np.exp(1j * np.outer(waves.phase, times)) @ (six - four)
     expected = waves.variance @ np.square(np.abs(apart))
@@ -127,16 +129,18 @@ def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> flo
 
 
 def lost_by_elevation(waves: WaveRings, frames: int, times: Float) -> float:
-    """Return the variance of z, m^2, lost by interpolation between 6, 4, 3 or 2 frames.
-    It is sum S |1 - sum w_t exp(i p t)|^2: S variance, p phase per frame, w_t weight of the frame at t."""
+    """Return the variance of z, m^2, that interpolation between 6, 4, 3 or 2 `frames` loses.
+    It is sum S |1 - sum w_t exp(i p t)|^2: S variance of a wave, p its phase per frame, w_t weight of the
+    frame at t."""
     weights, _ = frame_weights(times, FRAMES_OF_Z[frames])
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1.0 - seen)))
 
 
 def lost_by_paths(waves: WaveRings, path_frames: int, times: Float) -> float:
-    """Return the variance of the rise per step, m^2, lost by this kind of path (`path_weights`).
-    It is sum S |i p - sum w_t exp(i p t)|^2, with the weights w_t of the derivative, plus `orbits`."""
+    """Return the variance of the rise per step, m^2, that this kind of path (`path_weights`) loses.
+    It is sum S |i p - sum w_t exp(i p t)|^2, as in `lost_by_elevation` but with the weights w_t of the time
+    derivative, plus `orbits`."""
     _, weights = frame_weights(times, FRAMES_OF_Z[frames_of_path(path_frames)], path_frames == 6)
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1j * waves.phase - seen))) + orbits(waves, path_frames)
@@ -147,8 +151,9 @@ def orbits(waves: WaveRings, path_frames: int) -> float:
 
     A particle that wave i displaces by xi has the velocity u + xi u', whose second term turns by p_i + p_j or
     p_i - p_j per frame. The loss is c sum S_i S_j (k_j p_j)^2 ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) -
-    K(p_i + p_j) - D)^2): variance S, wavenumber k and phase p of a wave; gains K of velocities and Q of
-    positions; D = 1 - Q(p_i); and c = 0.75 for directions.
+    K(p_i + p_j) - D)^2), with the variance S, wavenumber k and phase per frame p of a wave; gains K of
+    velocities and Q of positions; D = 1 - Q(p_i); and c = 0.75, the mean squared cosine between the
+    directions of two waves.
     """
     p, gain = waves.phase, path_gain(waves.phase, path_frames)
     of_sum, of_difference = (path_gain(p[:, None] + one, path_frames) for one in (p, -p))
@@ -159,7 +164,7 @@ def orbits(waves: WaveRings, path_frames: int) -> float:
 
 
 def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRings:
-    """Return the waves of the learned spectrum of z that stand out from noise; other rings have variance 0.
+    """Return the waves of the learned spectrum of z; rings that do not stand out from noise have variance 0.
     `pixel` is the side of a rectified pixel, metres; `frame_rate` is in Hz."""
     k = np.array(elevation.k)
     detected = np.array(elevation.detected or [[True] * len(k)]).all(axis=0)
@@ -170,8 +175,9 @@ def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRin
 
 
 def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float, float]:
-    """Return which fraction of the rise's variance is aliased, and the longest aliased wavelength, metres.
-    A wave is aliased if its phase turns by more than pi per frame. Arguments: see `detected_waves`."""
+    """Return the fraction of the rise's variance that is aliased, and the longest aliased wavelength, m.
+    A wave is aliased if its phase turns by more than pi per frame. Both are 0 without such waves.
+    `detected_waves` describes the arguments."""
     waves = detected_waves(elevation, pixel, frame_rate)
     rise = waves.variance * np.square(waves.phase)
     fast = (waves.phase > np.pi) & (rise > 0)
@@ -181,7 +187,8 @@ def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float
 
 
 def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
-    """Return the kind of path (4, 6, 7) of smallest error; `noise_variance` is the sum of dx, dy, dz, m^2."""
+    """Return the kind of path (4, 6 or 7, see `path_weights`) with the smallest error for these waves.
+    `noise_variance`, m^2, is the sum of the noise variances of dx, dy and dz."""
 
     def error(code: int) -> float:
         half = PATH_WEIGHTS[code]
@@ -193,8 +200,10 @@ def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
 
 
 def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
-    """Return the variances (4,) due to waves shorter than blocks, m^2; `learned` are rise and wavelength, m.
-    A variance a^2 of z gives the rise 2 a^2 (1 - cos p) per frame (p < pi/2), and vertical motion (a p)^2."""
+    """Return the variances (4,) of z, dx, dy, dz, m^2, due to waves shorter than blocks.
+    `learned` is the standard deviation of their rise per step and their wavelength, m. A variance a^2 of z
+    gives the rise 2 a^2 (1 - cos p), with the phase p per frame (at most pi/2), and dz the variance (a
+    p)^2."""
     rise, wavelength = learned
     if not rise:
         return np.zeros(4, np.float32)
@@ -204,7 +213,7 @@ def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
 
 
 def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
-    """Return the variance due to the setup, (4, ny, nx), m^2: calibration error or light sheet, tilted beads.
+    """Return the variance due to calibration, light sheet and tilt of beads, (4, ny, nx), m^2.
     The calibration error along the sight lines is taken to equal the smooth epipolar error across them."""
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     out[0] = np.mean([one.epipolar**2 for one in estimate.nearest])
@@ -217,13 +226,14 @@ def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
 
 def bead_tilt(rise: Float, step: float, height: float) -> Float:
     """Return how far beads move over the water per step as it tilts, -height grad(rise), (2, ny, nx), metres.
-    `rise` (ny, nx) is the change of z per step, `step` the spacing of the grid, both in metres."""
+    `rise` (ny, nx) is the change of z per step, `step` the spacing of the grid, `height` that of beads, all
+    in metres."""
     along_y, along_x = np.gradient(rise, step)
     return np.nan_to_num(-height * np.stack([along_x, along_y]))
 
 
 def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
-    """Return the standard uncertainty of the level z = 0, m, common to all nodes; NaN if unknown."""
+    """Return the standard uncertainty, m, of the level z = 0, which all nodes share; NaN if unknown."""
     levelled = geometry.rig.provenance.get("levelled")
     if geometry.settings.sheet_thickness is not None:
         return 0.0  # `stated_by_setup` contains it
@@ -245,12 +255,13 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
 
 
 def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry) -> tuple[float, float]:
-    """Return two variances of the ripples' rise per frame, m^2: shared by two cameras, and in one camera.
+    """Return two variances of the ripples' rise per frame, m^2: as two cameras share it, and in one camera.
 
     Ripples whose rise has the variance c move the blocks of cameras a and b with the covariance J_a diag(1/2,
-    1/2, 1) J_b^T c, with J the Jacobians on the surface z (ny, nx), metres. c is fitted to the scores of two
-    cameras, and to those of one, divided by the square root of their Hessian's trace (equal noise). Of
-    several pairs the one that shares least counts, because neighbours also share changes of light.
+    1/2, 1) J_b^T c, with J the Jacobians on the surface z (ny, nx), metres. c is fitted to the products of
+    the scores of two cameras, and to those of one camera with itself. Scores are first divided by the square
+    root of their Hessian's trace, so that all have equal noise. The pair that shares least counts, because
+    neighbours also share changes of light. `found` are the displacements by camera.
     """
     scores, waves = {}, {}
     for name, one in found.items():
@@ -277,14 +288,16 @@ def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeo
 
 
 def ripple_rise(shared: float, total: float) -> float:
-    """Return the standard deviation of the ripples' rise per frame, m, from `shared_motion`; 0 if none."""
+    """Return the standard deviation of the ripples' rise per frame, m; 0 without significant ripples.
+    `shared` and `total` are the results of `shared_motion`."""
     return float(np.sqrt(shared / SEEN_BY_BLOCKS)) if shared > MIN_SHARED * total else 0.0
 
 
 def blocks_at(
     lattice: BlockLattice, x: Float, y: Float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-    """Return column and row of the blocks nearest to x, y (n,), px, and a mask of points on the lattice."""
+    """Return column and row of the block nearest to each point x, y (n,), and a mask of points inside.
+    Points are inside if they lie on the lattice; x and y are in its unit."""
     ny, nx = lattice.shape
     column, row = (np.rint((v - v0) / lattice.step) for v, v0 in ((x, lattice.x0), (y, lattice.y0)))
     inside = (column >= 0) & (column < nx) & (row >= 0) & (row < ny)
@@ -292,6 +305,6 @@ def blocks_at(
 
 
 def covariance(A: Float, B: Float) -> Float:
-    """Return the covariance (2, 2, n) of two cameras' scores for ripples whose rise has the variance 1.
-    A and B (2, 3, n) are the derivatives of the scores with respect to the motion of the water."""
+    """Return the covariance (2, 2, n) of the scores of two cameras due to ripples with a rise of variance 1.
+    A and B (2, 3, n) are the derivatives of each camera's scores with respect to the motion of the water."""
     return np.asarray(np.einsum("ikn,k,jkn->ijn", A, WAVE_VARIANCES, B))

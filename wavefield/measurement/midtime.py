@@ -34,7 +34,7 @@ class MidTime:
 
 @dataclass(frozen=True)
 class StepEstimate:
-    """Elevation and motion of one step, from all cameras but those that contradict the others."""
+    """Elevation and motion of one step, estimated from all cameras that agree with each other."""
 
     surfaces: Surfaces  # of the six frames around the step
     motion: Motion
@@ -43,7 +43,7 @@ class StepEstimate:
 
     @property
     def nearest(self) -> tuple[Surface, Surface]:
-        """The surfaces of the two frames between which the step lies."""
+        """The surfaces of the two frames of the step."""
         first, second = self.surfaces[AROUND : AROUND + 2]
         assert first is not None
         assert second is not None
@@ -61,9 +61,10 @@ def z_at_mid_time(
     """Interpolate z at mid-time, half-way between the frames of a step, at nodes x, y (ny, nx), metres.
 
     `surfaces` are those of six frames, None if missing; `flow` is the mean displacement (dx, dy) of the water
-    per step, metres. The `times` (6,) of the frames and the delay `late` (ny, nx) at which a node is seen are
-    in frame intervals from mid-time. Returns up to three elevations (ny, nx), from as many frames as possible
-    down to two; the number of frames of the first; and a mask of nodes that both frames of the step measured.
+    per step, metres. `times` (6,) of the frames are in frame intervals from mid-time; `late` (ny, nx), in
+    frame intervals, is the delay with which rolling shutters see a node. Returns a tuple of one to three
+    elevations (ny, nx), the first from as many frames as possible, the last from two; the number of frames of
+    the first (ny, nx); and a mask of nodes that were measured in both frames of the step.
     """
     # Interpolate in a frame of reference that moves with the mean flow U: a current would carry short waves
     # past a node faster than the frames follow. With z_n = z(x + t_n U) at t_n = -5/2 ... 5/2,
@@ -84,7 +85,7 @@ def z_at_mid_time(
         measured[n] = surface.is_measured(*place, z)
 
     def by(some: Sequence[int]) -> Float:
-        """Elevation at mid-time by the polynomial through some of the frames."""
+        """Return z (ny, nx) at mid-time from the polynomial through the frames `some`."""
         weights = frame_weights(times, some, at=at)[0].astype(np.float32)
         total = np.zeros(x.shape, np.float32)
         for n in some:
@@ -118,8 +119,9 @@ def reversed_in_time(frames: Sequence[int]) -> tuple[int, ...]:
 def rise_of_water(
     first: Surface, second: Surface, motion: Motion, flow: tuple[float, float], x: Float, y: Float
 ) -> Float:
-    """Return z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z, the rise of particles per step, (ny, nx), m.
-    c, b and d are chord, bend and displacement at mid-time (`Motion`), or the mean `flow` if not measured."""
+    """Return the rise of particles per step, z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z, (ny, nx), m.
+    c, b and d are chord, bend and displacement at mid-time of `Motion`, z_0 and z_1 the `first` and `second`
+    surface. Where the motion was not measured, c is the mean `flow` (dx, dy), and b and d_z - c_z are 0."""
     measured = np.isfinite(motion.chord).all(axis=0)
     parts = *motion.chord[:2], *motion.bend[:2], motion.d[2] - motion.chord[2]
     # where the motion was not measured, use the mean flow
@@ -131,7 +133,8 @@ def rise_of_water(
 
 
 def slope(z: Float, step: float, axis: int) -> Float:
-    """Return the slope of z (ny, nx) along an axis, by differences of sixth order, lower at the edges."""
+    """Return the slope of z (ny, nx) along an axis, by differences of sixth order, lower near the edges.
+    `step` is the spacing of the nodes, metres."""
     out: Float = np.moveaxis(np.gradient(z, step, axis=axis, edge_order=2), axis, 0)
     rows = np.moveaxis(z, axis, 0)
     for reach, weights in ((2, (8, -1)), (3, (45, -9, 1))):
@@ -147,7 +150,8 @@ def slope(z: Float, step: float, axis: int) -> Float:
 
 
 def frames_used(surfaces: Surfaces) -> int:
-    """Return how many frames z at mid-time can come from: 6, 4, 3 or 2. Missing surfaces are None."""
+    """Return from how many frames z at mid-time can be interpolated, 6, 4, 3 or 2.
+    `surfaces` are those of the six frames, None if missing; both frames of the step must be there."""
     present = [one is not None for one in surfaces]
     if present[1] and present[4]:
         return 6 if present[0] and present[5] else 4
@@ -155,7 +159,8 @@ def frames_used(surfaces: Surfaces) -> int:
 
 
 def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
-    """Return, by camera that measures z, the delay of its rolling shutter at the nodes, (ny, nx)."""
+    """Return how late rolling shutters see the nodes at z (ny, nx), metres, by camera that measures z.
+    The delays (ny, nx) are in frame intervals, relative to the middle row of the image."""
     out = {}
     for name in geometry.surface_cameras:
         sight = geometry.sights[name]
@@ -171,8 +176,9 @@ def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
 
 
 def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float, Float]:
-    """Return the errors that rolling shutters cause: of z (ny, nx), and in place (2, ny, nx), metres.
-    Camera n, late by tau_n, is off by tau_n (d_xy - D_n d_z), with its sight-line slope D_n; d per step."""
+    """Return the errors that rolling shutters cause: of z (ny, nx), and of position (2, ny, nx), metres.
+    d (3, ny, nx), metres, is the motion per step. Camera n, late by tau_n, sees a point displaced by tau_n
+    (d_xy - D_n d_z), with the slope D_n of its sight line."""
     late = lateness(z, geometry)
     mean = np.mean(list(late.values()), axis=0)
     shift, slope = {}, {}

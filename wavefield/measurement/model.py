@@ -1,4 +1,4 @@
-"""The learned record; estimators for a geometry and amplitude gains that follow from it; convergence."""
+"""The learned record; estimators and amplitude gains that follow from it for a geometry; convergence."""
 
 from __future__ import annotations
 
@@ -93,8 +93,9 @@ class LearnedRecord:
 
 
 class FieldModel:
-    """Estimator of a field with the learned spectrum `prior` on a lattice (ny, nx); tables are made at use.
-    Holes outside `inner` (ny, nx) do not tighten the solver. `whole_beads`: see `scores_at`."""
+    """Estimator of a field with the learned spectrum `prior` on a lattice of `shape` (ny, nx).
+    Only holes inside the mask `inner` (ny, nx) tighten the solver's tolerance; None: all. `whole_beads` tells
+    whether to use `scores_at`. Tables are computed at first use."""
 
     def __init__(
         self,
@@ -107,13 +108,13 @@ class FieldModel:
 
     @cached_property
     def modes(self) -> Modes:
-        """Cosine modes of the field, and the solver for them."""
+        """Cosine modes of the field, and the solver for the most probable field (MAP)."""
         with one_thread():
             return Modes(self.prior, self._shape, self._inner)
 
     @cached_property
     def spread(self) -> PosteriorVariance:
-        """Posterior variance of the field."""
+        """Posterior variance of the field: a function of the information (ny, nx) of the blocks."""
         with one_thread():
             return PosteriorVariance(self.prior, self._shape)
 
@@ -124,13 +125,17 @@ class FieldModel:
         return spline_prefilter(self._shape)[:my, :mx]
 
     def splined(self, waves: Float, rest: Float) -> Float:
-        """Return cubic-spline coefficients (ny, nx, c) of cosines `waves` (c, my, mx) plus a field `rest`."""
+        """Return the cubic-spline coefficients (ny, nx, c) of a field that is the sum of two parts.
+        They are a series with the cosine coefficients `waves` (c, my, mx), and the smooth field `rest` (c,
+        ny, nx)."""
         out = np.moveaxis(self.modes.field(waves * self._spline), 0, -1) + local_coefficients(rest)
         return np.ascontiguousarray(out, np.float32)
 
 
 def elevation_model(geometry: GridGeometry, prior: Prior, beads: Mapping[str, float]) -> FieldModel:
-    """Make the estimator of z, metres, on the blocks of the rectified images; `beads` are bead widths."""
+    """Make the estimator of z, metres, on the blocks of the rectified images.
+    `beads` are the widths of the beads by camera; if none is 0 (a texture), scores are computed from whole
+    beads."""
     return FieldModel(prior, geometry.lattice.shape, _inner_blocks(geometry), all(beads.values()))
 
 
@@ -175,7 +180,8 @@ class Model:
 
 
 def _inner_blocks(geometry: GridGeometry) -> NDArray[np.bool_]:
-    """Return a mask (ny, nx) of blocks that the reference and another camera see, 7 blocks from the edge."""
+    """Return a mask (ny, nx) of the blocks that the reference and another camera see.
+    The outermost 7 blocks of this area are left out."""
     reference, *others = (geometry.views[name].visible_blocks for name in geometry.surface_cameras)
     both = np.minimum(reference, np.max(others, axis=0)) > 0.99
     return np.asarray(cv2.erode(both.view(np.uint8), np.ones((15, 15), np.uint8)) > 0)
@@ -199,7 +205,7 @@ OSCILLATION_RATIO = 0.7  # solutions oscillate if a change exceeds this fraction
 
 
 class Convergence:
-    """Decides when successive solutions of a field have converged; `scale` is px per unit of the field."""
+    """Decides when successive solutions of a field have converged; `scale` is in px per unit of the field."""
 
     def __init__(self, scale: float = 1.0) -> None:
         self._scale, self._evaluations, self._change = scale, 0, np.inf
@@ -213,8 +219,10 @@ class Convergence:
     def next(
         self, modes: Modes, waves: Float, solved: Float, block_mean: Float | None
     ) -> tuple[Float, Float]:
-        """Return the coefficients (c, my, mx) to continue with, and their field averaged over blocks.
-        If solutions oscillate, it is their mean; if `solved` exceeds any image, the previous `waves`."""
+        """Return the cosine coefficients (c, my, mx) to continue with, and their field averaged over blocks.
+        `waves` are the previous coefficients and `solved` the new ones. The result is `solved`; the mean of
+        both if solutions oscillate; or `waves` if `solved` exceeds any image. `block_mean` (c, ny, nx)
+        belongs to `waves`."""
         after = modes.block_mean(solved)
         self._diverged = not self._scale * float(np.abs(after).max()) < MAX_FIELD_PX  # true for NaN as well
         if self._diverged:
@@ -240,8 +248,9 @@ WAVENUMBERS = 200  # wavenumbers in the stored table, up to the diagonal Nyquist
 
 
 def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str, Float]:
-    """Return the table of gains that is stored with a cube: ``gain_z``, ``gain_u``, ... (8, 200).
-    They belong to ``direction`` (8,), rad, over half a turn, and ``k`` (200,), rad/m; NaN if unknown."""
+    """Return the table of gains that is stored with a cube: ``gain_z``, ``gain_u``, ... (8, 200), by name.
+    Rows belong to ``direction`` (8,), rad, over half a turn, columns to ``k`` (200,), rad/m, both in the
+    table as well. Gains are NaN without a record, that of z also for a light sheet."""
     k = np.linspace(0, np.sqrt(2) * np.pi / geometry.grid.step, WAVENUMBERS)
     direction = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     unknown = np.full((DIRECTIONS, WAVENUMBERS), np.nan)
@@ -286,7 +295,8 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
 
 
 def shortest_carried(geometry: GridGeometry, record: LearnedRecord) -> dict[str, float]:
-    """Return the wavelengths, m, at which the gains fall to one half on average, or else two grid steps."""
+    """Return, for z, u, v and w, the wavelength, m, at which the gain, averaged over directions, is 1/2.
+    It is two grid steps if the gain is larger at all wavenumbers of the grid."""
     k = np.linspace(0.0, np.pi / geometry.grid.step, 600)
     angle = np.arange(8)[:, None] * np.pi / 8
     kx, ky = k * np.cos(angle), k * np.sin(angle)
@@ -300,7 +310,8 @@ def shortest_carried(geometry: GridGeometry, record: LearnedRecord) -> dict[str,
 def _gain_of_velocity(
     place: tuple[float, float], geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float
 ) -> Float:
-    """Return matrices from true to measured displacements (dx, dy, dz) at a place x, y, (..., 3, 3)."""
+    """Return matrices (..., 3, 3) from true to measured displacements (dx, dy, dz) at `place` (x, y).
+    kx, ky (...) are wavenumbers, rad/m."""
     jacobians: list[Any] = [
         geometry.sights[name].camera.jacobian(*place, 0.0) for name, _ in record.displacement
     ]
@@ -315,6 +326,6 @@ def _gain_of_velocity(
 
 
 def _gain_between_blocks(prior: Prior, qx: Float, qy: Float) -> Float:
-    """Return the gain (component, ...) of a MAP field between blocks, at qx, qy, rad per block."""
+    """Return the gain (component, ...) of a MAP field, interpolated to nodes, at qx, qy, rad per block."""
     gain: Float = prior.gain(qx, qy)
     return gain * interpolation_gain(qx) * interpolation_gain(qy)

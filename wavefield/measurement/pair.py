@@ -1,4 +1,4 @@
-"""Match the rectified images of one pair of cameras; match points in all cameras, to level a rig."""
+"""Match the rectified images of two cameras, and match points of still water in all cameras."""
 
 from __future__ import annotations
 
@@ -49,22 +49,23 @@ class PairMatch:
 
     @property
     def turned(self) -> PairMatch:
-        """The match with parallaxes turned by 90 degrees; no real elevation shows in it, only errors."""
+        """The match with parallaxes turned by 90 degrees: its `height` contains errors, but no elevation."""
         return replace(self, parallax=quarter_turn(self.parallax))
 
 
 def quarter_turn(vector: Float) -> Float:
-    """Rotate vectors (2, ny, nx) by 90 degrees to the left."""
+    """Return vectors (2, ny, nx), with components x and y, turned by 90 degrees from x towards y."""
     return np.stack([-vector[1], vector[0]])
 
 
 def match_pair(
     a: matching.PreparedImage, b: matching.PreparedImage, pair: tuple[str, str], geometry: GridGeometry
 ) -> PairMatch:
-    """Match the rectified images a, b of the cameras `pair`, and reject blocks with a large z or eps_Y.
+    """Match the rectified images a, b of the cameras `pair`; reject blocks with implausible z or eps_Y.
 
-    A point at z appears at x_a and x_b, with D the slopes of the sight lines there. d = x_b - x_a and dD =
-    D_b - D_a give z = -(dD . d) / |dD|^2 and the error eps_Y = (dD_y d_x - dD_x d_y) / |dD|.
+    A point at the elevation z appears at x_a and x_b, where the sight lines have the slopes D_a and D_b. The
+    differences d = x_b - x_a and dD = D_b - D_a give z = -(dD . d) / |dD|^2 and the epipolar error eps_Y =
+    (dD_y d_x - dD_x d_y) / |dD|.
     """
     found = matching.match(a, b, geometry.stereo_settings(pair))
     d = np.stack([found.u, found.v]) * np.float32(geometry.pixel)
@@ -85,13 +86,13 @@ def match_pair(
 
 
 def _sight_line(centre: Float, x: Float, y: Float) -> Float:
-    """Return the slope dx/dz, dy/dz of the sight lines from a centre to x, y on z = 0, (2, ny, nx)."""
+    """Return the slopes dx/dz, dy/dz of sight lines from a camera's centre to x, y on z = 0, (2, ny, nx)."""
     depth = np.float32(-centre[2])
     return np.stack([(x - np.float32(centre[0])) / depth, (y - np.float32(centre[1])) / depth])
 
 
 def why_rejected(reason: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Convert the bits of `Reason` from matching to bits of `Quality`."""
+    """Return why blocks were rejected, (ny, nx), as bits of `Quality`, from bits of `Reason` in matching."""
     out = np.zeros(reason.shape, np.uint16)
     known = int(Reason.NEIGHBOURS | Reason.RANGE)
     for bits, flag in (
@@ -109,8 +110,10 @@ def matched_pixels(
     geometry: GridGeometry,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Match points of still water in all cameras, to level a rig; return pixels (column, row), (n, 2).
-    NaN where a pair does not match. CalibrationError if none of the `frames` is usable in all cameras."""
+    """Match points of still water in all cameras, to level a rig; return their pixels (n, 2) by camera.
+    Pixels are (column, row). Point n is the same in all cameras, NaN where its pair does not match.
+    `read(camera, frame)` gives an image or None. Raises CalibrationError if none of the `frames` is usable in
+    all cameras."""
     rig = geometry.rig
     cells = np.s_[::CLUSTER, ::CLUSTER]  # closer blocks share beads
     x, y = (v[cells] for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))

@@ -37,8 +37,9 @@ def _row(jacobian: Float, i: int, k: int) -> tuple[Any, Any, Any]:
 
 @njit
 def _factored(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Matrix:
-    """Factorise [[a, b, c], [b, d, e], [c, e, f]] as L D L^T, with the pivots a, d1, f1.
-    Returns 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1; the last is NaN if the cameras do not determine all."""
+    """Factorise the matrix [[a, b, c], [b, d, e], [c, e, f]] as L D L^T, with the pivots a, d1, f1.
+    Returns 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1. The last is NaN if the cameras do not determine all three
+    unknowns."""
     lb, lc = b / a, c / a
     d1, e1 = d - b * lb, e - b * lc
     le = e1 / d1
@@ -49,7 +50,7 @@ def _factored(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Matrix:
 
 @njit
 def _solved(matrix: Matrix, p: Any, q: Any, r: Any) -> tuple[Any, Any, Any]:
-    """Return the solution of a system for the right side (p, q, r); `matrix` comes from `_factored`."""
+    """Return the three unknowns for the right side (p, q, r); `matrix` comes from `_factored`."""
     a, b, c, d, e, f = matrix
     q1 = q - b * p
     z = (r - c * p - e * q1) * f
@@ -72,9 +73,10 @@ def solve_nodes(
     """Solve for the motion of the water at n nodes, seen by N cameras, and write it to out (16, n).
 
     Rows in threes: displacement d at mid-time, chord, bend, variance of d due to noise. Then one row each:
-    variance of suppressed waves over `parts` (3,); misfit |J d - moved| / sqrt(2N); chi^2 per degree of
-    freedom; the factor (at least 1) by which chi^2 enlarges the noise. `jacobian` is (2N, 3, n), the other
-    fields are (2N, n), float32, as in `CameraDisplacements`.
+    variance of suppressed waves over `parts` (3,); misfit |J d - moved| / sqrt(2N), px; chi^2 per degree of
+    freedom; the factor (at least 1) by which chi^2 enlarges the noise variance. `jacobian` is (2N, 3, n),
+    `axes` (N, 3), the other fields (2N, n), as in `CameraDisplacements`; `parts` come from
+    `component_variances`.
     """
     rows, n = moved.shape
     weight = np.empty(rows)
@@ -172,9 +174,10 @@ def velocity(
     """Compute the motion of the water at the nodes at mid-time, by least squares over the cameras.
 
     The motion d minimises sum w |J d - dX|^2: w are the weights, J the 2N x 3 Jacobian of N cameras on the
-    surface z (ny, nx), metres, and dX the image velocity per step (`read_path`), for which J d = dX is exact.
-    Noise of the cameras is independent; waves that the prior suppresses are the same in all. A camera that
-    contradicts the others is left out if `may_leave_out`. None if fewer than two cameras have displacements.
+    surface z (ny, nx), metres, and dX the image velocity per step (`read_path`). `steps` are the
+    displacements by camera in one, three or five steps; the middle one is measured. Noise of the cameras is
+    independent; waves that the prior suppresses are the same in all. With `may_leave_out`, a camera that
+    contradicts the others is left out. None if fewer than two cameras have displacements in the middle step.
     """
     names = _cameras(steps)
     if len(names) < 2:
@@ -202,10 +205,11 @@ def velocity(
 
 
 def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
-    """Return the index of the only camera without which the others agree; None if not exactly one.
+    """Return the index of the only camera without which the others agree; None if there is not exactly one.
 
-    `misfit` is the median chi^2 per degree of freedom with all cameras, `misfit_without(n)` that without
-    camera n. In a line of three cameras the one that moved along it is not found: any two agree.
+    `misfit` is the median chi^2 per degree of freedom with all cameras, and `misfit_without(n)` that without
+    camera n. Among three cameras in a line, one that has moved along this line is not found, because any two
+    agree.
     """
     if n_cameras < 3 or not misfit > MAX_MISFIT:
         return None
@@ -215,7 +219,7 @@ def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int]
 
 
 def median_misfit(misfit: Float, measured: Mask) -> float:
-    """Median of the misfit (ny, nx) over nodes that all cameras measured; 0 if there are too few."""
+    """Return the median of the misfit (ny, nx) over `measured` nodes; 0 if these are fewer than MIN_NODES."""
     good = measured & np.isfinite(misfit)
     return float(np.median(misfit[good])) if good.sum() >= MIN_NODES else 0.0
 
@@ -228,7 +232,7 @@ def mean_flow(
     times: Float,
 ) -> tuple[float, float] | None:
     """Return the median displacement (dx, dy) of the water over a step, metres, from some of the nodes.
-    It is 0 if no node was measured, None if fewer than two cameras have displacements."""
+    It is 0 if no node was measured, and None if fewer than two cameras have displacements."""
     names = _cameras(steps)
     if len(names) < 2:
         return None
@@ -247,7 +251,7 @@ def _cameras(steps: Sequence[Flows | None]) -> list[str]:
 
 
 def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
-    """Compute the motion of the water by least squares; `parts` (3,) are the `component_variances`."""
+    """Compute the motion of the water by least squares; `parts` (3,) come from `component_variances`."""
     names = ("jacobian", "moved", "chord", "bend", "noise", "missing")
     fields = {name: np.ascontiguousarray(getattr(displacements, name), np.float32) for name in names}
     flat = [f.reshape(*f.shape[:-2], -1) for f in fields.values()]
@@ -275,11 +279,12 @@ def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
 
 
 def component_variances(settings: Settings) -> Float:
-    """Return the relative variances (3,) of u, v, w in waves that the prior suppresses; equal in a sheet."""
+    """Return the relative variances (3,) of u, v, w in waves that the prior suppresses.
+    They are equal in a light sheet; on water, w has as much as u and v together."""
     return WAVE_VARIANCES if settings.sheet_thickness is None else np.ones(3)
 
 
 def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:
-    """Return the variance, px^2, in each image (N, ny, nx), of motion with variances `parts` (3,), m^2."""
+    """Return the variance, px^2, in each image, (N, ny, nx), of a motion with variances `parts` (3,), m^2."""
     square = np.einsum("kiyx,i->kyx", np.square(displacements.jacobian), parts)
     return np.asarray(0.5 * (square[::2] + square[1::2]))
