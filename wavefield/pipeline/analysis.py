@@ -50,9 +50,9 @@ def analyze(
     each: Callable[..., Iterator[Any]] | None = None,
     **options: Any,
 ) -> "xr.DataTree":
-    """Compute the waves of a cube: spectra, coherence, kinematics, statistics, dispersion, fusion and more.
+    """Compute the waves of a cube: spectra, coherence, kinematics, statistics, dispersion and more.
 
-    It takes one pass over the cube in bounded memory; the result does not depend on the cube's chunks.
+    Memory is bounded, whatever the length of the cube. The result does not depend on the cube's chunks.
 
     Parameters
     ----------
@@ -230,8 +230,8 @@ def write_smoothed(
     store: Path, output: Path | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Path:
     """Write the smoothed fields of a cube (`wavefield.smooth`) to a Zarr store, and return its path.
-    The default of `output` is next to the cube, ``store``. `progress` is called with the number of steps
-    written and the number of all steps."""
+    By default `output` is next to the cube, `store`. `progress` is called with the number of steps written
+    and the number of all steps."""
     import zarr
 
     from wavefield.atomic_write import Product, atomic, check_writable

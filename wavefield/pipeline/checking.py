@@ -142,7 +142,7 @@ class CameraCheck:
 
 @dataclass(frozen=True)
 class Check:
-    """Result of `check`.
+    """Result of `check`: what it found, and the estimated cost of the run.
 
     Fields that are unknown, because the rig is not usable or a run cannot start, are None or empty.
     """

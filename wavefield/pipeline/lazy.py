@@ -266,7 +266,7 @@ def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> Non
 
 @dataclass
 class _Learner:
-    """A function of sample steps that returns the geometry and the estimator for the measurement.
+    """A callable that takes sample steps (`samples`), and returns the geometry and the estimator of the cube.
     At the first call it learns search ranges, bead widths, spectra and noise; later calls return the same."""
 
     geometry: "GridGeometry"
@@ -312,7 +312,7 @@ def _times(
     arrays: Mapping[str, xr.DataArray], rig: Rig, attributes: Mapping[str, Any]
 ) -> tuple[np.ndarray, float]:
     """Return the times of the frames (n,), s, and the frame rate, Hz.
-    Raises an error if the images of the cameras differ in time, do not fit the rig, or have uneven times.
+    Raises an error if images of cameras have different or uneven times, or another size than in the rig.
     ``attributes`` may contain the ``frame_rate``."""
     name, first = next(iter(arrays.items()))
     for other, array in arrays.items():

@@ -49,8 +49,8 @@ def image_names(experiment: Experiment, camera: str) -> list[Any]:
 
 def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
     """Return attributes of a cube that describe its experiment but do not change the measured values.
-    They are the path of the experiment file and the folder of the images, both relative to the folder of
-    ``store``, the description, and depth and surface tension of the water."""
+    They are the paths of the experiment file and the images, relative to the folder of ``store`` if possible;
+    the description; and the depth and the surface tension of the water."""
     home, own = store.absolute().parent.resolve(), experiment.path.parent.resolve()
     out: dict[str, Any] = {"experiment_file": _relative(own / experiment.path.name, home)}
     if experiment.description:
@@ -110,7 +110,7 @@ def _check_first_images(experiment: Experiment, store: Path, attributes: Mapping
 
 
 def fingerprints(series: Mapping[str, FrameSeries]) -> dict[str, dict[str, int]]:
-    """Return checksums of the first, middle and last image of each camera: {camera: {index: checksum}}."""
+    """Return checksums of the first, middle and last image of each camera: {"left": {"0": checksum}}."""
     out: dict[str, dict[str, int]] = {}
     for name, frames in series.items():
         read = {str(k): frames.read(k).image for k in from_first_to_last(len(frames), SAMPLE_FRAMES)}

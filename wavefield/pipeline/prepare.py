@@ -45,8 +45,8 @@ _MAX_THICKNESS_FRACTION = 0.05  # beads and light sheets, as a fraction of that 
 
 def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> None:
     """Raise RigError or ExperimentError if a rig has cameras below the water, or is not in metres.
-    It is not in metres if the cameras would be 2 cm or less, or 200 m or more, from the water. ``rig_file``
-    is the name of the rig in messages."""
+    It is not in metres if the median distance between camera and water is not 0.02 to 200. ``rig_file`` is
+    the name of the rig in messages."""
     refuse_own_frame(rig, rig_file)
     distance = float(np.median(_distances(rig)))
     if not _CAMERA_DISTANCES[0] <= distance <= _CAMERA_DISTANCES[1]:
@@ -135,8 +135,8 @@ def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
 
 
 def _distances(rig: Rig) -> list[float]:
-    """Return how far each camera is from the water, m, along the line of sight of its image centre.
-    If this line does not meet the water, it is the camera's height."""
+    """Return the distance between each camera and the water, m, along the sight line of the image centre.
+    If this line does not meet the water, the camera's height is returned."""
     distances = []
     for camera in rig.cameras.values():
         x, y = (float(v) for v in camera.unproject(*(0.5 * (n - 1) for n in camera.size)))

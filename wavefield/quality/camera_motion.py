@@ -185,7 +185,7 @@ def delays(
     rate: float,
     threads: int = 1,
 ) -> Synchrony:
-    """Measure delays of cameras and of image rows at ``frames``; none if the fit of a pair fails.
+    """Measure the delays of cameras and of image rows; the result is empty if the fit of a pair fails.
     ``read(camera, frame)`` returns an image or None. ``displacement(frame)`` returns the displacement of the
     water at the grid nodes, (3, ny, nx), metres per frame, NaN where unknown. ``rate`` is in Hz."""
     pair_delays: dict[Pair, tuple[float, float]] = {}
@@ -302,7 +302,7 @@ def spell_delays(found: Mapping[str, Delay]) -> str:
 
 @dataclass(frozen=True)
 class CameraMotion:
-    """Linear fits over the field to the epipolar error of each step, which change when a camera turns."""
+    """Linear fits over the field to the epipolar error of each step. They change when a camera turns."""
 
     steps: NDArray[np.intp]  # (n,): Steps with enough measured nodes
     coefficients: Array  # (n, 3), px: eps_y at mid-field; its change from there to the right and upper edge

@@ -352,7 +352,7 @@ def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[R
 
 
 def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
-    """Return the remark that the camera ``name`` matches no other or, without name, that no cameras match."""
+    """Return the remark that the camera ``name`` matches no other; by default, that no two match."""
     best = max(score(found) for pair, found in table.found.items() if not name or name in pair)
     sentence = (
         f"at best {100 * best:.0f} % of the patches of two cameras match with a smooth epipolar error (sound "
@@ -388,7 +388,7 @@ _CAMERA_FAULTS = {
 
 
 def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
-    """Find by trial why the camera ``name`` agrees with none of the cameras ``partners``; returns the remark.
+    """Find by trial why the camera ``name`` agrees with none of ``partners``, and return a remark on it.
     At two frames its images are flipped, used as those of another camera, or taken up to two frames earlier
     or later. The best trial shows the cause if at least a fraction ``level`` of the patches match in it."""
     frames = table.frames[:2]
@@ -443,7 +443,7 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
 
 
 def _moved(subject: str, error: float, sentence: str, values: Mapping[str, float]) -> Remark:
-    """Return the remark that the camera ``subject``, or a camera of the "rig", has moved.
+    """Return the remark that a camera has moved: ``subject`` or, if that is "rig", it is unknown which.
     ``error`` is the resulting error, px on the water; ``sentence`` and ``values`` are parts of the remark."""
     return Remark(
         subject,

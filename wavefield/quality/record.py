@@ -65,7 +65,7 @@ class FrameInspection:
 
 
 def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
-    """Return the indices of the frames to inspect, from the series of all cameras.
+    """Return the indices of the frames to inspect; ``series`` holds the frames of each camera.
     These are all frames of a short record, or else the first, the last and those of some random steps."""
     complete = complete_steps(series)
     if len(complete) < 2 * SAMPLED_STEPS:
@@ -104,7 +104,7 @@ def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
 def remark_on_frames(
     series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection]
 ) -> Iterator[Remark]:
-    """Yield remarks on cameras with many bad or repeated frames, or with a single frame of another size.
+    """Yield remarks on cameras with many bad or repeated frames, or with at least one of another size.
     Both arguments are by camera."""
     for name, found in inspections.items():
         for fault, (words, remedy) in FAULTS.items():
@@ -250,9 +250,9 @@ def _uneven(series: FrameSeries) -> Iterator[Remark]:
 
 
 def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, rate: float) -> Array:
-    """Return the robust rms over the nodes of z_t - w + u z_x + v z_y at each step, (n,).
-    It is in units of its standard uncertainty, and NaN with few measured nodes. ``fields`` holds the
-    variables `COMPARED`; they and the mask ``measured`` are (n, ny, nx). ``step`` is the node spacing, m."""
+    """Return the robust rms over the nodes of z_t - w + u z_x + v z_y at each step, (n,), NaN with few nodes.
+    It is in units of the standard uncertainty of this sum. ``fields`` holds the variables `COMPARED`. They
+    and the mask ``measured`` are (n, ny, nx). ``step`` is the node spacing, m, and ``rate`` is in Hz."""
     z = np.asarray(fields["z"], np.float64)
     z_y, z_x = (np.gradient(z, step, axis=axis) for axis in (1, 2))
     residual = fields["z_t"] - fields["w"] + fields["u"] * z_x + fields["v"] * z_y
@@ -296,7 +296,7 @@ def rise_ratios(cube: xr.Dataset) -> tuple[Array, Array]:
 
 
 def discontinuous_steps(ratio: Array, variance: Array) -> NDArray[np.intp]:
-    """Return the indices of the steps at which the ratios (n,) of `rise_ratios`, with their variances, jump.
+    """Return the steps at which ``ratio`` (n,) jumps; both arguments are results of `rise_ratios`.
     The ratio there differs significantly from the mean of the two neighbouring steps, and by more than at any
     other step up to `AROUND` steps away."""
     usual = np.nanmedian(ratio) if np.isfinite(ratio).any() else np.nan
