@@ -159,9 +159,9 @@ def fit_platform(
 def jackknife_std(
     fit: PlatformFit, matches: Sequence[Instant], horizons: Mapping[str, Array], distance: float | None
 ) -> tuple[float, float]:
-    """Return the standard uncertainties of tilt (degrees) and height (m), by leaving out groups of instants.
-    They hold for instants that show different waves. For one instant they are NaN; if there is a horizon,
-    only that of the height is. `matches` holds matched pixels by pair of cameras, for each instant."""
+    """Return the jackknife standard uncertainties of tilt (degrees) and height (m), over groups of instants.
+    Successive instants form a group; the groups must show different waves. With one instant, the height's is
+    NaN, and the tilt's is only the horizon's error, or NaN without `horizons`. See also `fit_platform`."""
     # leave out successive instants together, because they show the same waves
     groups = np.array_split(np.arange(len(matches)), min(GROUPS, len(matches)))
     first = next(iter(fit.cameras))
@@ -209,9 +209,9 @@ def _on_water(fit: PlatformFit, one: _Match) -> _Match:
 
 
 def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
-    """Return the fit after a step x (3,): tilt (2) of the mean surface and change (1) of `offset`, m.
-    If `distance`, m, is given, x (8,) begins with a turn (3), rad, and a shift (2) of the second camera
-    across the line to the first, relative to the distance."""
+    """Return the fit after a step x (3,): two tilts of the mean surface, rad, and a change of `offset`, m.
+    If `distance`, m, is given, x (8,) begins with a rotation vector (3), rad, of the second camera, and its
+    shift (2), in units of `distance`, perpendicular to the line between the cameras."""
     cameras = dict(fit.cameras)
     if distance is not None:
         one, name = list(cameras)[:2]

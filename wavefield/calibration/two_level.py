@@ -241,7 +241,8 @@ def _other_dots(level: PlateLevel, centre: Array) -> Array:
 
 def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
     """Return the dots near the middles of the cells of `one` as a level, or None if they are too few.
-    `centre` (n, 2), px, are all dots. The parallax may change linearly over the image."""
+    `centre` (n, 2), px, are all dots. Parallax shifts the dots of this level from the middles, by an
+    amount that may change linearly over the image."""
     rest = _other_dots(one, centre)
     if len(rest) < LIMITS.min_nodes:
         return None

@@ -188,8 +188,8 @@ def arrival_lights(
     silent: Mapping[str, float], written: Mapping[str, float], newest: Mapping[str, int], frame_rate: float
 ) -> list[StatusLight]:
     """Return a light "arrival" for each camera, and a light "synchronisation" for each that has frames.
-    Given are, by camera, the time since the newest frame was found (`silent`, s), the time at which it was
-    written (`written`, s since the epoch), and its number (`newest`); and the frame rate, Hz."""
+    `silent` is the time since a camera's newest frame was found, s, `written` the time at which this frame
+    was written, s since the epoch, and `newest` its number, each by camera; `frame_rate` is in Hz."""
     out = []
     for camera, since in silent.items():
         state = _state(since - INTERVALS / frame_rate, LIMITS["silence"])

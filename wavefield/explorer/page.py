@@ -1,4 +1,4 @@
-"""The page of `wavefield look` in one browser tab: verdict on the cube, controls and panels."""
+"""The page of `wavefield look` in one browser tab: controls, panels and the verdict on the cube."""
 
 import re
 import threading

@@ -70,8 +70,8 @@ def solve_displacement(jacobian: ArrayLike, displacement: ArrayLike) -> Array:
 
 
 def parallax(rig: Rig, pair: tuple[str, str], x: ArrayLike, y: ArrayLike) -> Array:
-    """Return the parallax between the two cameras of a pair per height of a point above x, y, metres.
-    It is the first camera's sight-line coefficients (along x and y) minus those of the second, (2, ...)."""
+    """Return the difference between two cameras' sight lines at x, y (m) on z = 0, in m per m of height.
+    It is dx/dz and dy/dz along the first sight line minus those along the second, (2, ...)."""
     first, second = (rig[name].sight_line(x, y) for name in pair)
     return np.subtract(first, second)
 

@@ -6,8 +6,9 @@ The kinematic and dynamic conditions are expanded to second order at z = 0,
     phi2_t + g z2 - gamma lap z2   = -|grad phi1|^2/2 - phi1_z^2/2 - z1 phi1_tz             = G
 
 where phi is the velocity potential, z the elevation, g gravity, gamma the surface tension over density, and
-1 and 2 the orders. In water of depth h each pair (i, j) of free waves, with wave vectors k and frequencies s,
-forces a bound wave with wave vector K = k_i +- k_j and frequency S = s_i +- s_j:
+1 and 2 the orders. In water of depth h each pair (m, n) of free waves, with wave vectors k and frequencies s,
+forces a bound wave with wave vector K = k_m +- k_n and frequency S = s_m +- s_n. With z2, phi2, F and G now the
+complex amplitudes of exp(i (K . x - S t)):
 
     z2 = (q G + i S F) / (q g' - S^2),   phi2 = (g' F - i S G) / (q g' - S^2),
     q = |K| tanh |K|h,   g' = g + gamma K^2.

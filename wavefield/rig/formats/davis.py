@@ -23,7 +23,7 @@ REMEDY = "calibrate with wavefield from DaVis' target images (.im7), or from tab
 
 
 def load_davis(root: ET.Element, path: Path, options: ImportOptions) -> Rig:
-    """Read a calibration of DaVis, whose root element is `root`; returns the rig."""
+    """Return the rig in a calibration file of DaVis at `path`; `root` is the root element of its XML."""
     if any(folder.is_dir() for folder in path.parent.glob("[Cc]orrection field")):
         raise RigError(
             "a correction field of DaVis' self-calibration is next to it, which is not supported: use the "
