@@ -7,8 +7,8 @@ The kinematic and dynamic conditions are expanded to second order at z = 0,
 
 where phi is the velocity potential, z the elevation, g gravity, gamma the surface tension over density, and
 1 and 2 the orders. In water of depth h each pair (m, n) of free waves, with wave vectors k and frequencies s,
-forces a bound wave with wave vector K = k_m +- k_n and frequency S = s_m +- s_n. With z2, phi2, F and G now the
-complex amplitudes of exp(i (K . x - S t)):
+forces a bound wave with wave vector K = k_m +- k_n and frequency S = s_m +- s_n. With z2, phi2, F and G now
+the complex amplitudes of exp(i (K . x - S t)):
 
     z2 = (q G + i S F) / (q g' - S^2),   phi2 = (g' F - i S G) / (q g' - S^2),
     q = |K| tanh |K|h,   g' = g + gamma K^2.
@@ -78,7 +78,7 @@ def bound_waves(
     dot = np.multiply.outer(kx, kx) + np.multiply.outer(ky, ky)
     parts = []
     for sign in (+1, -1):
-        # i carries the potential, j the elevation; for differences the second factor is conjugate
+        # index i for the potential, j for the elevation; for differences the second factor is conjugate
         ai, bi = a[:, None], b[:, None]
         aj, bj = (a, b) if sign > 0 else (a.conj(), b.conj())
         ki2, si = (k * k)[:, None], s[:, None]

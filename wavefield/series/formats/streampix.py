@@ -21,7 +21,7 @@ _GREY = (100, 101)  # monochrome, and raw of a colour mosaic
 
 
 def open_streampix(path: Path) -> Recording:
-    """Open a StreamPix sequence of uncompressed grey images; FrameError if it is damaged or of another kind."""
+    """Open a StreamPix sequence of uncompressed grey images; FrameError if damaged or of another kind."""
     with path.open("rb") as stream:
         head = stream.read(1024)
     if len(head) < 1024 or struct.unpack_from("<I", head)[0] != _MAGIC:
