@@ -48,21 +48,27 @@ def dispersion(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g: flo
     ----------
     k : array_like
         Wavenumber, rad/m, 0 or more.
-    depth : float
-        Depth h of the water, m; infinite for deep water. A CubeError is raised if it is not positive.
-    gamma, g : float
-        Surface tension over density, m3/s2, and gravity, m/s2.
+    depth : float, optional
+        Depth h of the water, m; by default infinite, for deep water.
+    gamma, g : float, optional
+        Surface tension over density, m3/s2, by default of clean water at 20 C; gravity, 9.81 m/s2 by default.
 
     Returns
     -------
     float or ndarray
         Angular frequency, rad/s, in the shape of `k`.
 
+    Raises
+    ------
+    CubeError
+        If the depth is not positive.
+
     Examples
     --------
     A wave of k / 2 pi = 20 1/m on water 0.7 m deep has a frequency of 5.9 Hz:
 
-    >>> round(float(dispersion(2 * np.pi * 20, 0.7)) / (2 * np.pi), 1)
+    >>> from wavefield.waves import dispersion
+    >>> round(float(dispersion(125.66, 0.7)) / 6.2832, 1)
     5.9
     """
     if not depth > 0:
@@ -79,19 +85,25 @@ def group_velocity(k: ArrayLike, depth: float = np.inf, gamma: float = GAMMA, g:
     ----------
     k : array_like
         Wavenumber, rad/m, above 0.
-    depth, gamma, g : float
-        Depth of the water, m, surface tension over density, m3/s2, and gravity, m/s2. A CubeError is raised
-        if the depth is not positive.
+    depth, gamma, g : float, optional
+        Depth of the water, m, surface tension over density, m3/s2, and gravity, m/s2, with the defaults of
+        `dispersion`.
 
     Returns
     -------
     float or ndarray
         Group velocity, m/s, in the shape of `k`.
 
+    Raises
+    ------
+    CubeError
+        If the depth is not positive.
+
     Examples
     --------
     Half the phase velocity for gravity waves on deep water:
 
+    >>> from wavefield.waves import dispersion, group_velocity
     >>> k = 2.0
     >>> round(float(group_velocity(k, gamma=0.0) / (dispersion(k, gamma=0.0) / k)), 6)
     0.5
@@ -110,17 +122,22 @@ def wavenumber(omega: ArrayLike, depth: float = np.inf, gamma: float = GAMMA) ->
     ----------
     omega : array_like
         Angular frequency, rad/s, 0 or more.
-    depth, gamma : float
-        Depth of the water, m, and surface tension over density, m3/s2. A CubeError is raised if the depth is
-        not positive.
+    depth, gamma : float, optional
+        Depth of the water, m, and surface tension over density, m3/s2, with the defaults of `dispersion`.
 
     Returns
     -------
     ndarray
         Wavenumber, rad/m, in the shape of `omega`.
 
+    Raises
+    ------
+    CubeError
+        If the depth is not positive.
+
     Examples
     --------
+    >>> from wavefield.waves import dispersion, wavenumber
     >>> round(float(wavenumber(dispersion(30.0, 0.7), 0.7)), 6)
     30.0
     """

@@ -111,9 +111,9 @@ def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float
         Spectrum E(omega, ky, kx), best of w; or a result of `spectrum`; or a field over (time, y, x) or a
         cube, whose spectrum (of w) is computed first. To restrict the fit to a band, give
         ``E.sel(omega=slice(lowest, highest))``, in rad/s.
-    depth : float
+    depth : float, optional
         Depth of the water, m; by default that of the cube, or deep. It is not fitted.
-    gamma : float
+    gamma : float, optional
         Surface tension over density, m3/s2; by default that of the cube, or of clean water.
 
     Returns

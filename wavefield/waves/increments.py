@@ -60,8 +60,8 @@ def structure_functions(field: xr.DataArray, *, differences: int = 1) -> xr.Data
     ----------
     field : DataArray, (time, y, x)
         Any variable of a cube; time in s, x and y in m. A field on disk is read in pieces.
-    differences : int
-        1 (default) for increments f(s + r) - f(s); 2 for f(s + r) - 2 f(s) + f(s - r). Use 2 for spectra
+    differences : int, optional
+        1, the default, for increments f(s + r) - f(s); 2 for f(s + r) - 2 f(s) + f(s - r). Use 2 for spectra
         steeper than the power -3, where the slope of the longest waves dominates first differences.
 
     Returns

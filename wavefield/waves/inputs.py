@@ -146,8 +146,8 @@ def cube(
     Raises
     ------
     CubeError
-        If the fields differ in dimensions, nodes or times, a unit is unknown, steps are unequal, or `z_t` is
-        missing and z has gaps.
+        If the fields differ in dimensions, nodes or times, a unit or `velocity` is unknown, steps are
+        unequal, or `z_t` is missing and either the velocities are displacements or z has gaps.
 
     Notes
     -----

@@ -28,7 +28,7 @@ def phase_average(cube: xr.Dataset, period: float, *, phases: int = 24) -> xr.Da
         z (m) and, where present, z_t, u, v, w (m/s) over (time, y, x). A cube on disk is read in pieces.
     period : float
         Period of the waves, s. Phase 0 is at time 0 of the cube.
-    phases : int
+    phases : int, optional
         Number of phases per period, 24 by default.
 
     Returns

@@ -401,8 +401,8 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     Raises
     ------
     CubeError
-        If a variable is missing, the record has fewer than five steps, the grid fewer than 8 nodes a side
-        or unequal distances, or fewer than a quarter of the nodes are measured.
+        If a variable is missing, the record has fewer than five steps, the grid has fewer than 8 nodes a side
+        or different steps along x and y, or fewer than a quarter of the nodes are measured.
 
     Notes
     -----
