@@ -19,12 +19,12 @@ class Rings:
     dk: float  # width, rad/m
     coverage: np.ndarray  # fraction of each ring inside the sampled plane with its corners, (rings,)
     cells: np.ndarray  # independent cells of each ring under Hann windows, for an even spectrum, (rings,)
-    # Squared correlation between rings, (rings, rings): a sum over rings with shares p of the energy has
+    # Squared correlation between rings, (rings, rings): a sum over rings with fractions p of its energy has
     # 1 / (p . overlap . p) independent cells.
     overlap: np.ndarray
-    # area share of each cell of the plane (numpy's order) in each ring, (cells, rings)
+    # area fraction of each cell of the plane (in the order of numpy.fft) in each ring, (cells, rings)
     shares: sparse.csr_array
-    # The shares of the half plane kx >= 0 as the arrays of a CSR matrix, for `kernels.ring_powers`.
+    # `shares` of the half plane kx >= 0 as the arrays of a CSR matrix, for `kernels.ring_powers`.
     start: np.ndarray
     ring: np.ndarray
     weight: np.ndarray
