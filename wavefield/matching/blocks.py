@@ -97,8 +97,7 @@ def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.n
 @njit
 def _extend_oddly(field: np.ndarray, margin: int, out: np.ndarray) -> None:
     """Copy a field (ny, nx) into the middle of `out`, with a margin of `margin` blocks on each side.
-    The margin is the odd reflection of the field about its edge values, which keeps its slope at the
-    edges."""
+    The margin is the field reflected oddly about its edge values, which keeps its slope at the edges."""
     ny, nx = field.shape
     for j in range(ny):
         row, to = field[j], out[margin + j]
@@ -119,7 +118,7 @@ def _extend_oddly(field: np.ndarray, margin: int, out: np.ndarray) -> None:
 @njit
 def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) -> None:
     """Subtract from scores (2, ny, nx), in place, what displacement gradients inside the blocks add.
-    `slope` (4, ny, nx) are the gradients du/dx, du/dy, dv/dx, dv/dy; `moments` (9, ny, nx) come from
+    `slope` (4, ny, nx) has these gradients as in `slopes`; `moments` (9, ny, nx) is from
     `gradient_moments`."""
     _, ny, nx = sums.shape
     for j in range(ny):
@@ -166,7 +165,7 @@ def _strain_products(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float, float, float, float]:
     """Return the sums over usable blocks of a.a, a.b, b.b, r.a, r.b, for a least-squares fit r = c a + s^2 b.
-    a and b are the two terms of `_strains`, r the scores `sums` (2, ny, nx); `count` (ny, nx) is 1 for usable
+    a and b are the two terms of `_strains`, r the scores `sums` (2, ny, nx); `count` is 1 for usable
     blocks."""
     aa = ab = bb = ra = rb = 0.0
     for j in range(count.shape[0]):
@@ -311,8 +310,7 @@ def noise_of_scores(
 
 def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
     """Return a weight of each block, (ny, nx), 1 in general, smaller where scores far exceed noise around.
-    Such scores occur at edges of objects and where beads enter or leave. `noise_of_scores` describes the
-    arguments."""
+    Such are edges of objects, and where beads enter or leave. Arguments are those of `noise_of_scores`."""
     square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
     information = _clusters(trace * counts)
     least = F(HOLE_INFORMATION) * information.mean()
@@ -329,9 +327,9 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
-    """Return a mask (ny, nx), True for blocks in holes: the mean information of 7 x 7 blocks is small there.
-    It is at most 0.15 of the typical information. `information` (ny, nx) is the inverse variance of each
-    block's value."""
+    """Return a mask (ny, nx), True in holes: the mean information of 7 x 7 blocks is small there.
+    It is at most 0.15 of the typical one. `information` (ny, nx) is the inverse variance of a block's
+    value."""
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )

@@ -72,8 +72,7 @@ def work_space(nx: int) -> WorkSpace:
 @njit
 def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
     """Smooth row y of an image along y by the quintic B-spline, into s, and differentiate it along y, into d.
-    `image` includes its border of PAD pixels; s and d (w + 4,) start two pixels left of the image without
-    border."""
+    `image` includes its border of PAD pixels; s and d (w + 4,) start two pixels left of the inner image."""
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
     d1, d2 = F(10 / 24), F(1 / 24)
     r0, r1, r2 = image[y + PAD - 2][PAD - 2 :], image[y + PAD - 1][PAD - 2 :], image[y + PAD][PAD - 2 :]
@@ -125,8 +124,8 @@ def _fold(row: Array, out: Array) -> None:
 @njit
 def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
     """Write block sums of G = (gx gx, gx gy, gy gy) to out[:3], of x G to out[3:6] and of y G to out[6:].
-    gx, gy are the gradients of `image` (with border); x, y are a pixel's distances from the centre of its
-    block, px; out is (9, ny, nx)."""
+    gx, gy are the gradients of `image` (with border); x, y are pixel positions from the block's centre,
+    px."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -199,8 +198,7 @@ def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None
 @njit
 def strain_moments(image: Array, work: WorkSpace, out: Array) -> None:
     """Write sums over each block of gx a, gy a, gx a_xx, gx a_xy, gx a_yy, gy a_xx, gy a_xy, gy a_yy to out.
-    gx, gy are the gradients of `image` a (with border), a_xx, a_xy, a_yy its second derivatives; out is (8,
-    ny, nx)."""
+    gx, gy, a_xx, ... are first and second derivatives of `image` a (with border); out is (8, ny, nx)."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -279,8 +277,7 @@ _read_block: Callable[..., None] = numba.extending.intrinsic(_block_reader)
 @njit
 def _spline_taps(position: Array, whole: Array, taps: Array) -> None:
     """Split positions (n,), px, into whole pixels and fractions.
-    The whole pixels are written to `whole` (n,), the six spline weights for the fractions to `taps` (6,
-    n)."""
+    Whole pixels are written to `whole` (n,), the spline weights for the fractions to taps (6, n)."""
     for b in range(len(position)):
         low = np.floor(position[b])
         f = position[b] - low
@@ -342,8 +339,7 @@ def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> N
 @njit
 def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
     """Add gx r to sums[0] and gy r to sums[1] for every pixel of a row, as `plain_sums` describes.
-    s and d are the results of `_spline_columns` for the first image; b is the row of the displaced second
-    image."""
+    s, d are from `_spline_columns` for the first image; b is the row of the displaced second image."""
     n = len(s) - 4
     s0, s1 = sums[0][:n], sums[1]
     for x in range(len(s0)):
@@ -376,8 +372,7 @@ def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace,
 @njit
 def _spread_slopes(slopes: Array, by: int, rows: Array) -> None:
     """Write the displacement gradients `slopes` (4, ny, nx) of block row `by` to the pixels of rows[5:9].
-    du/dx and dv/dx are multiplied by the distance x from the block's centre; the caller multiplies du/dy and
-    dv/dy by y."""
+    du/dx and dv/dx are multiplied by the distance x from the block's centre; the caller multiplies by y."""
     _spread_ramps(slopes[0, by], rows[5])
     _spread(slopes[1, by], rows[6])
     _spread_ramps(slopes[2, by], rows[7])
@@ -521,8 +516,7 @@ def bead_blocks(image: Array, out: Array) -> None:
 @njit
 def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> None:
     """Write sums of gx gx, gx gy, gy gy over the whole beads of each block to out (ny nx, 3).
-    A bead belongs to the block of its brightest point; `block` (h, w) comes from `bead_blocks`; `image` has
-    its border."""
+    A bead belongs to the block of its brightest point, `block` (h, w) from `bead_blocks`."""
     h, n = block.shape
     out[:] = F(0)
     gx, gy = work.rows[3], work.rows[4]
@@ -562,8 +556,7 @@ def bead_scores(
     out: Array,
 ) -> None:
     """Write the scores, sums of gx r and gy r over the whole beads of each block, to out (ny nx, 2).
-    A bead belongs to the block of its brightest point; `block` (h, w) comes from `bead_blocks`. `final_sums`
-    describes the other arguments."""
+    `block` (h, w) comes from `bead_blocks`; `final_sums` describes the other arguments."""
     n = u.shape[1] * BLOCK
     rows = work.rows
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])

@@ -143,8 +143,7 @@ def _undetected_fraction(
     measured: Float, rings: Float, noise: Float, detected: NDArray[np.bool_], binning: WavenumberRings
 ) -> float:
     """Return the power of rings without significant waves as a fraction, 0 to 1, of its upper limit `rings`.
-    It is the slope of a line through the points (upper limit, measured power) / noise of these rings, all (c,
-    rings)."""
+    It is the slope of a line through (upper limit, measured power) / noise of these rings, all (c, rings)."""
     limit, found = rings / noise, measured / noise
     weight = binning.count * (~detected & (binning.middle < SHORTEST_IN_LIMITS))
     total = max(float(weight.sum()), 1e-30)
@@ -205,8 +204,7 @@ def _extrapolated(
     upper_limit: Float | float = np.inf,
 ) -> tuple[float, ...]:
     """Replace a spectrum (rings,) from ring number `last` on by a power law through the rings before it.
-    k are the wavenumbers of the rings. The power law stays below `upper_limit`, the whole spectrum above 0.01
-    `noise`."""
+    The law stays below `upper_limit`, the whole spectrum above 0.01 `noise`; k are the rings' wavenumbers."""
     out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
     first = max(last - SLOPE_RINGS, 1)
     slope = SLOPE_RANGE[1]

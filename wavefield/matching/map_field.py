@@ -108,8 +108,7 @@ class Modes:
 
     def split(self, field: Float) -> tuple[Float, Float]:
         """Split a field (c, ny, nx) into a smooth part (c, ny, nx) and the cosine coefficients of the rest.
-        The smooth part (`edge_field`) has the slopes of the field at the edges, where cosines have none.
-        Noisy slopes are reduced."""
+        The smooth part (`edge_field`) has the field's slopes at the edges, reduced if they are noisy."""
         edges = self._kept * edge_field(field)
         return edges, self.waves(field - edges)
 
@@ -119,8 +118,7 @@ class Modes:
 
     def tolerances(self, information: Float) -> tuple[float, float]:
         """Return the tolerances of `solve` for the first evaluation of the images, and for later ones.
-        They are smaller if `information` (ny, nx), the blocks' inverse variance, has large holes, because the
-        field converges last in holes."""
+        They are smaller if the blocks' inverse variance (ny, nx) has large holes, which converge last."""
         hole = hole_mask(information, self.prior.information) & self._requested
         return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
 
@@ -204,8 +202,7 @@ def _update_direction(ratio: F, step: Float, direction: Float) -> None:
 
 def _freedom(gain: Float) -> float:
     """Return the fraction, at least 0.2, of the variance of scores that remains after a fit.
-    Scores are summed over clusters of 5 x 5 blocks; `gain` (ny, nx) is that of the MAP field in every cosine
-    mode."""
+    Scores are summed over 5 x 5 blocks; `gain` (ny, nx) is that of the MAP field in every cosine mode."""
     rows, columns = (_box(n) for n in gain.shape)
     power = np.square(rows[:, None] * columns)
     return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
@@ -281,8 +278,8 @@ class Cosines:
 
     def quarters(self, field: Float) -> Float:
         """Return the four parts of a field (c, ny, nx), even or odd along y and x: (2, hy, 2, c, hx).
-        Axes 0 and 2 are the parity (even, odd) along y and x. One quarter of the lattice, hy x hx, determines
-        each part."""
+        Axes 0 and 2 are the parities (even, odd) along y and x; hy x hx blocks are a quarter of the
+        lattice."""
         hy, hx = self._half
         out = np.empty((2, hy, 2, len(field), hx), F)
         _fold(np.ascontiguousarray(field, F), out)
@@ -383,8 +380,7 @@ def multiply(a: Float, quarters: Float) -> None:
 @reassociating
 def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
     """Return a field at (y, x), (y, -x), (-y, x), (-y, -x), measured from the middle, from its four parts.
-    The first letter of a part is its parity along y, the second that along x: `eo` is even along y and odd
-    along x."""
+    Letters of a part are its parities along y and x: `eo` is even along y and odd along x."""
     p, q, r, s = ee + oe, eo + oo, ee - oe, eo - oo
     return p + q, p - q, r + s, r - s
 

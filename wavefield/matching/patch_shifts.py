@@ -63,8 +63,7 @@ def _correlations(patch: Float, around: Float) -> Float:
 
 def _found(a: Float, b: Float, at: tuple[int, int], reach: tuple[int, int]) -> tuple[float, float]:
     """Return the displacement (x, y), px, from a to b of the patch at column and row `at` (halved images).
-    It is NaN if no correlation within `reach` (x, y) exceeds MIN_CORRELATION, or if the second-best is about
-    equal."""
+    It is NaN if no correlation within `reach` (x, y) exceeds MIN_CORRELATION, or if two are about equal."""
     size = PATCH_PX // 2
     x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
     patch = a[at[1] : at[1] + size, at[0] : at[0] + size]
@@ -91,8 +90,7 @@ def locate(patch: Float, around: Float) -> tuple[float, float, float]:
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return those of the displacements `moved` (m, 2), px, that agree with that of another patch.
-    Two agree if they differ by less than 12 px plus 25 % of their length. Displacements that are NaN are left
-    out."""
+    Two agree if they differ by less than 12 px plus 25 % of their length. NaN are left out."""
     moved = moved[np.isfinite(moved[:, 0])]
     apart = np.hypot(*(moved[:, None] - moved).T) - TOLERANCE_PX - 0.25 * np.hypot(*moved.T)
     out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]

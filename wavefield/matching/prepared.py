@@ -295,8 +295,7 @@ def _add_row(row: np.ndarray, usable: np.ndarray, s: np.ndarray, t: np.ndarray, 
 @njit
 def _cell_sums(image: np.ndarray, usable: np.ndarray, side: int, rows: np.ndarray, out: np.ndarray) -> None:
     """Write sums of pixels and of squared pixels over cells of `side` x `side` px to out (2, ny, nx).
-    rows[2] receives the largest pixel of each column; rows[0] and rows[1] are scratch. Pixels with `usable` 0
-    count as 0."""
+    rows[2] receives the largest pixel of each column. Pixels with `usable` 0 count as 0."""
     h, w = image.shape
     ny = out.shape[1]
     s, t, top = rows[0], rows[1], rows[2]
@@ -322,8 +321,7 @@ def _normalize_row(
     out: np.ndarray,
 ) -> None:
     """Write (row - mean) * scale to `out`, and 0 where `usable` is 0.
-    The mean is interpolated between rows of cells, a fraction t of the way from m0 to m1; the scale from s0
-    to s1."""
+    Mean and scale are interpolated, a fraction t of the way from m0, s0 (a row of cells) to m1, s1."""
     for x in range(len(row)):
         mean = m0[x] + t * (m1[x] - m0[x])
         scale = s0[x] + t * (s1[x] - s0[x])

@@ -217,8 +217,7 @@ def _slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 def _last_sums(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Return the sums of `final_sums`, (12, ny, nx), with the Hessian of image a in planes 2 to 4.
-    `slope` (4, ny, nx) are the gradients of the displacement u, v (ny, nx), px. Sums of unusable blocks are
-    0."""
+    `slope` (4, ny, nx) are the gradients of u, v (ny, nx), px. Sums are 0 in blocks that are not usable."""
     pair.update_weights(u, v)
     sums = np.empty((12, *u.shape), np.float32)
     final_sums(pair.a.padded, pair.b.padded, u, v, slope, pair.work, sums)
@@ -318,8 +317,7 @@ def _search(
 
 def _peaks(correlation: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the shifts u, v (ny, nx), px, of largest correlation for each block, refined by parabolas.
-    `correlation` is (row shifts, ny, column shifts, nx + 2 border), for shifts from first_x and first_y on,
-    px."""
+    `correlation` is (row shifts, ny, column shifts, nx + 2 border), for shifts from first_x, first_y on."""
     rows, ny, n, width = correlation.shape
     nx = width - 2 * border
     by_block = correlation[..., border : border + nx].transpose(1, 3, 0, 2)
@@ -359,8 +357,7 @@ def _assess(
 
 def _correlation(windowed: np.ndarray, coverage: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the normalised correlation and the gradient energy ga gb of windows, each (ny, nx).
-    `windowed` (7, ny, nx) are the moments of `_strip_sums`, and `coverage` (ny, nx) the usable fraction of
-    each window."""
+    `windowed` (7, ny, nx) has the moments of `_strip_sums`, `coverage` (ny, nx) the usable fraction."""
     rr, sa, aa, sr, ar, ab = windowed[:6]
     power = float(aa.mean() / F(BLOCK * BLOCK))
     least = F((1e-4 * power + 1e-12) ** 2)

@@ -104,8 +104,7 @@ class Prior:
 
     def with_min_signal_to_noise(self, ratio: float = OPEN_SIGNAL_TO_NOISE) -> Prior:
         """Return the prior, its spectrum raised to at least this signal-to-noise ratio below 2 rad per block.
-        Learning starts from a raised prior, because one that is too small gives a spectrum that is again too
-        small."""
+        A spectrum that is learned with too small a prior comes out too small as well."""
         k = np.array(self.k)
         least = ratio / (self.footprint(k, np.zeros(1)) ** 2 * self.information)
         table = np.maximum(self.power, np.where(k < SHORTEST_WAVENUMBER, least, 0.0))
@@ -131,8 +130,7 @@ class Prior:
 
     def expected(self, kx: Float, ky: Float) -> NDArray[np.float64]:
         """Return the fraction of `spectrum` that is expected to be waves, (component, ...), at kx, ky (...).
-        It is `wave_fraction`, times `undetected_fraction` at wavenumbers where the spectrum is only an upper
-        limit."""
+        It is `wave_fraction`, times `undetected_fraction` where the spectrum is only an upper limit."""
         detected = np.array(self.detected or [[True] * len(self.k)])
         fraction = self.wave_fraction * np.where(detected, 1.0, self.undetected_fraction)
         return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in fraction])
@@ -148,8 +146,7 @@ class Prior:
 
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return two variances (component,) of a MAP field on a lattice (ny, nx): from waves, and from noise.
-        They are the means of G^2 S and of G^2 / (F^2 A) over all modes but the constant one, with the gain
-        G."""
+        They are means of G^2 S and of G^2 / (F^2 A), with the gain G, over all modes but the constant one."""
         kx, ky = wavenumbers(shape)
         squared_gain = np.square(self.gain(kx, ky))
         squared_gain[:, 0, 0] = 0.0
@@ -226,8 +223,7 @@ class WavenumberRings:
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
         """Return the ratio (rings,) of power to noise, averaged over five neighbouring rings.
-        Modes have equal weights. The first four rings, which contain calibration errors, get the value of the
-        next one."""
+        The first four rings, which contain calibration errors, get the value of the next one."""
         count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")

@@ -207,8 +207,7 @@ def _learned(
     frames: Frames, geometry: GridGeometry, model: Model | None, masks: Frames
 ) -> tuple[GridGeometry, Model, Images, Images]:
     """Return the geometry, the model, and the prepared images of the first and of the second frame.
-    If `model` is None, it is learned from these frames. Raises ValueError if a camera has no usable frame, or
-    if nothing can be learned."""
+    A `model` of None is learned from these frames. ValueError without usable frames, or if that fails."""
     instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
     covered = [{n: masks[n][k] for n in masks} for k in (0, 1)]
     if model is None:
@@ -280,8 +279,7 @@ def diagnose_around(
     pixel: float,
 ) -> Diagnosis | None:
     """Compare the cameras (`diagnose`) in one step: of those that can be compared, the nearest to `middle`.
-    `read(camera, frame)` returns an image or None. Returns None if the MAX_TRIED_STEPS steps nearest to
-    `middle` fail."""
+    `read(camera, frame)` gives an image or None. None if the MAX_TRIED_STEPS steps nearest to it fail."""
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:MAX_TRIED_STEPS]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}
         try:

@@ -87,8 +87,7 @@ def map_displacement(
     with_harmonics: bool = False,
 ) -> FlowEstimate:
     """Estimate the most probable displacement (MAP) from image `one` to `other`, starting from their match.
-    `with_harmonics` subtracts the second-harmonic error (`harmonics`); fields are too noisy for that while
-    spectra are learned."""
+    `with_harmonics` corrects it by `harmonics`; while spectra are learned, fields are too noisy for that."""
     found = match
     u = filled(match)
     edges, waves = modes.split(u)

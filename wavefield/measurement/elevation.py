@@ -148,8 +148,7 @@ def _noise(score: Float, hessian: Float, freedom: float) -> Float:
 
 def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
     """Return the variance of scores across the sight lines per unit of their Hessian, times NOISE_MARGIN.
-    The calibration's part of the error there, `smooth` (ny, nx) from `_smooth_across`, is subtracted
-    first."""
+    The calibration's part of the error there, `smooth` (ny, nx) from `_smooth_across`, is subtracted."""
     parts = [one.across(smooth) for one in pairs]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     return np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
@@ -231,8 +230,7 @@ def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
 
 def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
     """Return a mask (ny, nx) of blocks where successive pairs would correct the common z differently.
-    This finds shifts of one pixel. Scores and Hessians (ny, nx) of each pair are for z; `lengths` (ny, nx)
-    are the parallaxes, px/m."""
+    This finds shifts of one pixel. Scores and Hessians are for z; `lengths` (ny, nx) are parallaxes, px/m."""
     means = [
         (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
         for s, h in zip(scores, hessians, strict=True)
@@ -335,8 +333,7 @@ def _sheet(shape: tuple[int, int]) -> Surface:
 
 def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPairs | None:
     """Match the images of all pairs at one instant; None if too few blocks match.
-    If the image of the reference is blank, the match is repeated without this camera, as long as two are
-    left."""
+    The reference's image may be blank: the match is then repeated without this camera, if two are left."""
     present = tuple(prepared)
     while pairs := geometry.pairs_for(present):
         reference = pairs[0][0]

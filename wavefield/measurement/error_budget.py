@@ -130,8 +130,7 @@ def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> flo
 
 def lost_by_elevation(waves: WaveRings, frames: int, times: Float) -> float:
     """Return the variance of z, m^2, that interpolation between 6, 4, 3 or 2 `frames` loses.
-    It is sum S |1 - sum w_t exp(i p t)|^2: S variance of a wave, p its phase per frame, w_t weight of the
-    frame at t."""
+    It is sum S |1 - sum w_t exp(i p t)|^2: S variance, p phase per frame, w_t weight of the frame at t."""
     weights, _ = frame_weights(times, FRAMES_OF_Z[frames])
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1.0 - seen)))
@@ -201,9 +200,8 @@ def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
 
 def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
     """Return the variances (4,) of z, dx, dy, dz, m^2, due to waves shorter than blocks.
-    `learned` is the standard deviation of their rise per step and their wavelength, m. A variance a^2 of z
-    gives the rise 2 a^2 (1 - cos p), with the phase p per frame (at most pi/2), and dz the variance (a
-    p)^2."""
+    `learned`: standard deviation of their rise per step, and wavelength, m. A variance a^2 of z gives the
+    rise 2 a^2 (1 - cos p), with the phase p per frame (at most pi/2), and dz the variance (a p)^2."""
     rise, wavelength = learned
     if not rise:
         return np.zeros(4, np.float32)
@@ -226,8 +224,7 @@ def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
 
 def bead_tilt(rise: Float, step: float, height: float) -> Float:
     """Return how far beads move over the water per step as it tilts, -height grad(rise), (2, ny, nx), metres.
-    `rise` (ny, nx) is the change of z per step, `step` the spacing of the grid, `height` that of beads, all
-    in metres."""
+    `rise` (ny, nx) is the change of z per step, `step` the grid spacing, `height` that of beads; metres."""
     along_y, along_x = np.gradient(rise, step)
     return np.nan_to_num(-height * np.stack([along_x, along_y]))
 

@@ -1,7 +1,7 @@
 """`GridGeometry`: everything that follows from rig, grid and settings alone, computed once for all frames.
 
 For every camera, `Sight` gives the image position of the nodes at any elevation, and `RectifiedView` the maps
-that rectify its images to the plane z = 0 (`RectifiedPlane`), in apparent positions of the reference.
+that rectify its images to the plane z = 0 (`RectifiedPlane`), in apparent positions of the reference camera.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ _ORDER = 4
 
 
 class Sight:
-    """Image positions and Jacobians of the nodes in one camera, as polynomials in z.
-    `binning` is the side in raw px of a pixel of the binned image, to which `camera` and `lattice` belong."""
+    """Image positions and Jacobians of the nodes x, y (ny, nx) in one camera, as polynomials in z.
+    `binning` is the side, in raw px, of a pixel of the binned image, to which `camera` and `lattice`
+    belong."""
 
     def __init__(
         self, camera: Camera, binning: int, x: Float, y: Float, z_range: tuple[float, float]
@@ -59,12 +60,12 @@ class Sight:
         self._polynomial = np.einsum("pk,kfyx->fpyx", inverse, np.array(values)).astype(np.float32)
 
     def at(self, z: Float, every: int = 1) -> NDArray[np.float32]:
-        """Return X, Y (px of the binned image) and the Jacobian row by row (px/m) of nodes at z, (8, ny, nx).
-        z (ny, nx) is in metres; with `every` above 1, only each so many-th node along x and y is used."""
+        """Return X and Y (px of the binned image) and the Jacobian by rows (px/m) of nodes at z: (8, ny, nx).
+        z is in metres. With `every` above 1, it belongs to every such node along x and y only."""
         return self._evaluate(z, self._polynomial[..., ::every, ::every])
 
     def position(self, z: Float) -> NDArray[np.float32]:
-        """Return the positions X, Y of nodes at elevations z, metres, (2, ny, nx), px of the binned image."""
+        """Return the positions X, Y, px of the binned image, of nodes at z (ny, nx), metres: (2, ny, nx)."""
         return self._evaluate(z, self._polynomial[:2])
 
     def _evaluate(self, z: Float, polynomial: Float) -> NDArray[np.float32]:
@@ -90,7 +91,7 @@ _LENS_BLUR_PX = 0.6  # standard deviation of the blur of a usual lens
 
 @dataclass(frozen=True)
 class RectifiedPlane:
-    """Pixel grid of the rectified images, which all cameras' images are mapped to, on the plane z = 0."""
+    """Grid of the pixels of all rectified images, on the plane z = 0."""
 
     origin: tuple[float, float]  # x, y of the first pixel, metres
     pixel: float  # side of a pixel, metres
@@ -118,7 +119,8 @@ def fit_plane(
     cameras: Sequence[Camera], x: Float, y: Float, z_range: tuple[float, float], pixel: float
 ) -> RectifiedPlane:
     """Choose the rectangle on z = 0 that images are rectified to; the first camera is the reference.
-    It contains the apparent positions of the nodes x, y (ny, nx) over `z_range` that two cameras see."""
+    It contains the apparent positions of those nodes x, y (ny, nx) that two cameras see, at any z in
+    `z_range`; `pixel` is in metres."""
     if min(x.shape) < _MIN_NODES:
         raise RigError(
             f"the grid has {x.shape[1]} x {x.shape[0]} nodes, and slopes need {_MIN_NODES} along each side: "
@@ -154,7 +156,8 @@ def fit_plane(
 
 def _reach(camera: Camera, edge: Float) -> Float:
     """Return points (n, 2), metres, that bound the part of z = 0 which a camera sees.
-    If the horizon is in view, they include the visible ones of the grid's edge nodes `edge` (m, 2)."""
+    If the horizon is in view, they include the visible ones of the grid's edge nodes `edge` (m, 2),
+    metres."""
     view = view_on_water(camera)
     if np.isfinite(camera.corners()).all():
         return view
@@ -164,7 +167,8 @@ def _reach(camera: Camera, edge: Float) -> Float:
 def rectified_views(
     sights: Mapping[str, Sight], plane: RectifiedPlane, middle: tuple[float, float], stereo: MatchSettings
 ) -> dict[str, RectifiedView]:
-    """Compute the rectified view of every camera on `plane`; `middle` (x, y) is that of the grid, metres."""
+    """Return, by camera, its view of the rectified `plane`; `middle` (x, y) of the grid is in metres.
+    `stereo` are the settings of matching between cameras."""
     blur = _blur(sights, plane.pixel, middle)
     x, y = (first + plane.pixel * np.arange(n * BLOCK) for first, n in zip(plane.origin, plane.shape[::-1]))
     out = {}
@@ -181,7 +185,8 @@ def _blur(
     sights: Mapping[str, Sight], pixel: float, middle: tuple[float, float]
 ) -> dict[str, tuple[float, float]]:
     """Return, by camera, the blur (std along x and y, px) that makes beads equally wide in all views.
-    Without it, beads are stretched along the view of an oblique camera, which would bias z."""
+    Without this blur, beads would be stretched along the view of an oblique camera, which would bias z.
+    `pixel` and `middle` (x, y) of the grid are in metres."""
     variances = {}
     for name, sight in sights.items():
         side = np.linalg.inv(sight.camera.jacobian(*middle, 0.0)[:, :2]) / pixel
@@ -199,13 +204,13 @@ Pixels = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Covered:
-    """Mask of one image, prepared for matching."""
+    """Mask of one camera's image, prepared for both kinds of matching."""
 
     raw: Mask  # of the binned image, for matching in time
     flat: Mask | None  # of the rectified image; None for a camera that does not measure z
 
     def at(self, X: NDArray[Any], Y: NDArray[Any]) -> Pixels:
-        """Return a mask, True where the block around X, Y, px, lies in the image and has masked pixels."""
+        """Return a mask, True where the block around X, Y, px, is in the image and partly masked."""
         whole = self.raw.levels[0]
         h, w = whole.shape
         with np.errstate(invalid="ignore"):
@@ -299,7 +304,7 @@ class GridGeometry:
 
     @property
     def reference(self) -> str:
-        """Camera that belongs to all pairs; the lattice is defined in its apparent positions."""
+        """Camera that belongs to all pairs; the lattice of z consists of its apparent positions."""
         return self.pairs[0][0]
 
     @property
@@ -314,7 +319,7 @@ class GridGeometry:
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Middle of the grid, metres."""
+        """Middle x, y of the grid, metres."""
         return 0.5 * (self.grid.x[0] + self.grid.x[1]), 0.5 * (self.grid.y[0] + self.grid.y[1])
 
     @property
@@ -367,7 +372,7 @@ class GridGeometry:
         return settings
 
     def pairs_for(self, present: Sequence[str]) -> tuple[Pair, ...]:
-        """Return the pairs whose cameras are all `present`, or else new pairs of those that are."""
+        """Return the pairs whose cameras are both `present`; if there are none, pairs of those present."""
         planned = tuple(p for p in self.pairs if p[0] in present and p[1] in present)
         if planned:
             return planned
@@ -385,13 +390,13 @@ class GridGeometry:
             raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
 
     def _fitting_pixel(self) -> float:
-        """Return the side of a rectified pixel, m: the coarsest camera's, or less on a fine grid."""
+        """Return the side of a rectified pixel, m: the coarsest camera's, or as little as half of it."""
         own = max(pixel_sides(self.rig[name], *self.middle)[0] for name in self.surface_cameras)
         return max(own / 2.0, min(own, 0.8 * self.grid.step / BLOCK))
 
 
 def _with_reference_first(pairs: Sequence[Pair]) -> tuple[Pair, ...]:
-    """Return the pairs with their common camera first; ExperimentError if they have none or repeat."""
+    """Return the pairs with their common camera first; ExperimentError without one or if pairs repeat."""
     common = set.intersection(*(set(pair) for pair in pairs))
     if not common or len({frozenset(p) for p in pairs}) < len(pairs):
         text = ", ".join(f"[{a}, {b}]" for a, b in pairs)

@@ -24,7 +24,7 @@ MAX_SIZE_TO_WIDTH = 3.0  # objects wider than this many bead widths belong to th
 
 
 def bead_width(image: NDArray[Any]) -> float:
-    """Width at half height of the images of beads, px, from the autocorrelation of the image; 0: a texture.
+    """Return the width at half height of the images of beads, px, from the autocorrelation; 0 for a texture.
 
     White noise affects the correlation at zero shift only, so shifts r of 1 and 2 px are used: for Gaussian
     beads of standard deviation s, the correlation is exp(-r^2 / 4 s^2). The local mean (sigma 4 px) is
@@ -58,7 +58,7 @@ def _skewness(part: NDArray[Any]) -> float:
 
 
 def above_floor(image: NDArray[Any], width: float) -> NDArray[Any]:
-    """Remove what is larger than three bead widths (px) by a white top-hat; a texture (width 0) stays."""
+    """Remove objects wider than three bead widths (`width`, px) by a white top-hat; not if that is 0."""
     if not width:
         return image
     side = int(np.ceil(MAX_SIZE_TO_WIDTH * width)) // 2 * 2 + 3
@@ -75,7 +75,7 @@ GREY_LEVELS_PER_E = 5000.0  # grey levels per factor e of brightness: 65535 leve
 
 
 def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
-    """Return whether a frame is a grey image of this size (width, height) with contrast and mostly finite."""
+    """Return whether a frame is a grey image of `size` (width, height) with contrast, and mostly finite."""
     if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
         return False
     if image.dtype.kind not in "uif":
@@ -88,7 +88,8 @@ def ready(
     image: NDArray[Any], count: int, width: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
     """Prepare a usable frame (h, w): remove its background, compress its brightness, bin count x count px.
-    The width of the beads, px, is measured if None; 0 is a texture. `covered` (h, w) pixels do not count."""
+    `width` is that of the beads, px; 0 for a texture; None: it is measured. Brightness in pixels where
+    `covered` (h, w) is True is ignored."""
     if covered is not None:
         image = fill_masked(image, covered)
     width = bead_width(image) if width is None else width
@@ -102,7 +103,7 @@ def ready(
 
 
 def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
-    """Sharpen an image: overlapping beads of unequal brightness in two cameras would bias the match."""
+    """Sharpen an image by `amount`: overlapping beads of unequal brightness in two cameras bias matches."""
     kernel = np.array([-amount, 1.0 + 2.0 * amount, -amount], np.float32)
     part = np.ascontiguousarray(image, np.float32)
     return np.asarray(cv2.sepFilter2D(part, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REPLICATE))
@@ -111,8 +112,9 @@ def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
 def log_compress(
     image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """Compress the brightness I of an image to 5000 log(1 + (I - B) / (0.5 (I_99 - B))); below B it is 0.
-    B is `black`, by default the 1 % quantile. A bead's factor of brightness becomes a constant."""
+    """Compress the brightness I of an image to 5000 log(1 + (I - B) / (0.5 (I_99 - B))), and to 0 below B.
+    A factor of brightness then becomes a constant. B is `black`, by default the 1 % quantile, and I_99 the 99
+    % quantile, of pixels that are not `covered`."""
     low, _, high = _levels(image, covered)
     low = low if black is None else black
     knee = max(KNEE_TO_CONTRAST * (high - low), 1e-6 * max(abs(low), abs(high), 1e-30))
@@ -133,15 +135,15 @@ def log_compress(
 
 @compiled()
 def _table_value(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None:
-    """Write to `out` the table's value for every pixel of a 16-bit image."""
+    """Write to `out`, for every pixel of a 16-bit image, the entry of `table` for its brightness."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             out[y, x] = table[image[y, x]]
 
 
 def _levels(image: NDArray[Any], covered: NDArray[np.bool_] | None = None) -> tuple[float, float, float]:
-    """Return the 1, 50 and 99 % quantiles of the brightness of pixels not `covered`, from every eighth pixel.
-    All three are 0 if no pixel is left, or if fewer than about half of the pixels are finite."""
+    """Return the 1, 50 and 99 % quantiles of the brightness, from every eighth pixel along both axes.
+    `covered` pixels do not count. All three are 0 if none is left or fewer than about half are finite."""
     sample = image[3::8, 3::8].ravel()
     if covered is not None:
         sample = sample[~covered[3::8, 3::8].ravel()]
@@ -167,7 +169,8 @@ Masks = Mapping[str, Pixels | None]
 
 
 def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
-    """Prepare the masks of one instant (True on pixels to ignore); an unchanged array, only once."""
+    """Prepare the masks of one instant, by camera; True on pixels to ignore.
+    The result for a mask is kept in `geometry` and returned as long as the mask is the same array."""
     out = {}
     for name in geometry.cameras:
         pixels = masks.get(name)
@@ -182,7 +185,7 @@ def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
 
 
 def _ready(pixels: Pixels, name: str, geometry: GridGeometry) -> Covered:
-    """Prepare a mask (h, w), True on pixels to ignore, of the camera `name` for both kinds of matching."""
+    """Prepare a mask (h, w) of camera `name`, True on pixels to ignore, for matching in time and in pairs."""
     w, h = geometry.sights[name].camera.size
     count = geometry.sights[name].binning
     good = np.where(pixels[: h * count, : w * count], np.uint8(0), np.uint8(255))
@@ -201,8 +204,9 @@ def masked_nodes(
     z: NDArray[Any],
     geometry: GridGeometry,
 ) -> Pixels:
-    """Return a mask (ny, nx) of nodes hidden by outlines, or by the masks `covered` of both frames.
-    Masks hide a node at z (ny, nx), metres, if they leave no pair for z or fewer than two cameras."""
+    """Return a mask (ny, nx), True for nodes that outlines, or the masks `covered` of both frames, hide.
+    Masks hide a node at z (ny, nx), metres, if they leave no pair for z or fewer than two cameras for
+    velocity. Cameras in `missing` do not count."""
     hidden = {}
     for name in {*covered[0], *covered[1]}:
         X, Y = geometry.sights[name].position(z)
@@ -219,7 +223,8 @@ def masked_nodes(
 def prepare(
     image: NDArray[Any], camera: str, geometry: GridGeometry, mask: Mask | None = None
 ) -> matching.PreparedImage:
-    """Sharpen and rectify an image from `ready`, and prepare it for matching between cameras."""
+    """Sharpen and rectify an image from `ready`, and prepare it for matching between cameras.
+    `mask` is for the rectified image; None: all that the camera sees."""
     view = geometry.views[camera]
     flat = widen(rectify(sharpened(image, BETWEEN_CAMERAS), *view.maps), *view.blur)
     return matching.prepare(flat, geometry.settings.stereo, mask=mask or view.mask)
@@ -230,7 +235,7 @@ Frames = Mapping[str, NDArray[Any] | None]
 
 @dataclass(frozen=True)
 class Images:
-    """The usable frames of one instant, prepared by `ready`, and their masks, by camera."""
+    """The usable frames of one instant, prepared by `ready`, and their masks, both by camera."""
 
     ready: Mapping[str, NDArray[Any]]
     covered: Mapping[str, Covered]
@@ -242,7 +247,8 @@ class Images:
         return frozenset(name for name in self.geometry.cameras if name not in self.ready)
 
     def rectified(self, left_out: str | None = None) -> dict[str, matching.PreparedImage]:
-        """Rectify the frames for matching between cameras; none for a light sheet, nor of `left_out`."""
+        """Return the frames, rectified and prepared for matching between cameras, by camera.
+        There are none for a light sheet, and none of the camera `left_out`."""
         if self.geometry.settings.sheet_thickness is not None:
             return {}
         return {
@@ -257,7 +263,7 @@ class Images:
         }
 
     def in_time(self) -> dict[str, matching.PreparedImage]:
-        """Prepare the frames, which are not rectified, for matching in time."""
+        """Return the frames, prepared for matching in time but not rectified, by camera."""
         return {
             name: matching.prepare(
                 sharpened(self.ready[name], IN_TIME),
@@ -273,7 +279,7 @@ def images_of(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks | None = None
 ) -> Images:
     """Prepare the usable frames of one instant; `beads` are the widths of the beads by camera, raw px.
-    `masks` are True on pixels to ignore."""
+    `masks` (h, w), by camera, are True on pixels to ignore."""
     masks = masks or {}
     found: dict[str, NDArray[Any]] = {}
     for name in geometry.cameras:

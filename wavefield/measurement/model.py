@@ -125,17 +125,15 @@ class FieldModel:
         return spline_prefilter(self._shape)[:my, :mx]
 
     def splined(self, waves: Float, rest: Float) -> Float:
-        """Return the cubic-spline coefficients (ny, nx, c) of a field that is the sum of two parts.
-        They are a series with the cosine coefficients `waves` (c, my, mx), and the smooth field `rest` (c,
-        ny, nx)."""
+        """Return the cubic-spline coefficients (ny, nx, c) of a field that is the sum of two parts:
+        a series with cosine coefficients `waves` (c, my, mx), and a smooth field `rest` (c, ny, nx)."""
         out = np.moveaxis(self.modes.field(waves * self._spline), 0, -1) + local_coefficients(rest)
         return np.ascontiguousarray(out, np.float32)
 
 
 def elevation_model(geometry: GridGeometry, prior: Prior, beads: Mapping[str, float]) -> FieldModel:
     """Make the estimator of z, metres, on the blocks of the rectified images.
-    `beads` are the widths of the beads by camera; if none is 0 (a texture), scores are computed from whole
-    beads."""
+    `beads` are bead widths by camera; if all have beads (width above 0), whole beads are used."""
     return FieldModel(prior, geometry.lattice.shape, _inner_blocks(geometry), all(beads.values()))
 
 
@@ -220,9 +218,8 @@ class Convergence:
         self, modes: Modes, waves: Float, solved: Float, block_mean: Float | None
     ) -> tuple[Float, Float]:
         """Return the cosine coefficients (c, my, mx) to continue with, and their field averaged over blocks.
-        `waves` are the previous coefficients and `solved` the new ones. The result is `solved`; the mean of
-        both if solutions oscillate; or `waves` if `solved` exceeds any image. `block_mean` (c, ny, nx)
-        belongs to `waves`."""
+        They are the new ones, `solved`; the mean with the previous `waves` if solutions oscillate; or `waves`
+        if `solved` exceeds any image. `block_mean` (c, ny, nx) belongs to `waves`."""
         after = modes.block_mean(solved)
         self._diverged = not self._scale * float(np.abs(after).max()) < MAX_FIELD_PX  # true for NaN as well
         if self._diverged:

@@ -43,13 +43,14 @@ _NOISE_CORRELATION = -0.2
 
 
 def elevation_gain(phase: Float, frames: int) -> Float:
-    """Return the gain of z from 2, 4 or 6 frames for a wave whose phase turns by `phase`, rad, per step."""
+    """Return the gain of z from 2, 4 or 6 frames for a wave whose phase turns by `phase`, rad, per frame."""
     weights = {2: (1.0,), 4: (9 / 8, -1 / 8), 6: (150 / 128, -25 / 128, 3 / 128)}[frames]
     return np.asarray(sum(w * np.cos((n + 0.5) * phase) for n, w in enumerate(weights)))
 
 
 def path_gain(phase: Float, frames: int) -> Float:
-    """Return the gain of velocities along paths for a wave whose phase turns by `phase`, rad, per step."""
+    """Return the gain of velocities along paths for a wave whose phase turns by `phase`, rad, per frame.
+    `frames` is the kind of path, a key of PATH_WEIGHTS."""
     own, *neighbours = PATH_WEIGHTS[frames]
     path = own + 2.0 * sum(w * np.cos(n * phase) for n, w in enumerate(neighbours, 1))
     return np.asarray(np.sinc(phase / (2.0 * np.pi)) * path)
@@ -58,8 +59,9 @@ def path_gain(phase: Float, frames: int) -> Float:
 def frame_weights(
     times: Float, frames: Sequence[int], smooth: bool = False, at: Float | float = 0.0
 ) -> tuple[Float, Float]:
-    """Return the weights of six frames for a value and for its rate of change at the time `at`, (6, ...).
-    They belong to the polynomial through the numbers `frames`; `smooth`: of degree four, with less noise."""
+    """Return the weights of six frames for a value, and for its rate of change, at the time `at`, (6, ...).
+    They follow from a polynomial through the frames with the numbers `frames` (0 to 5), or, if `smooth`, from
+    one of degree four near them, which has less noise. `times` (6,) and `at` are in frame intervals."""
     used = list(frames)
     powers = np.vander(times[used], increasing=True).T
     shape, count = np.shape(at), len(used)
@@ -76,7 +78,8 @@ def frame_weights(
 
 
 def noise_of_displacements(weights: Float) -> Float:
-    """Return the factors (n, ...) on the noise variances of n successive displacements in a weighted sum."""
+    """Return the factors (n, ...) on the noise variances of n successive displacements in a weighted sum.
+    `weights` (n, ...) are those of the sum; the noise of successive displacements is correlated."""
     padded = np.pad(weights, [(1, 1), *[(0, 0)] * (weights.ndim - 1)])
     return np.asarray(weights * (weights + _NOISE_CORRELATION * (padded[:-2] + padded[2:])))
 
@@ -100,7 +103,7 @@ _LOOSE = {"contract", "reassoc"}
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, int]:
-    """Return both spline coefficients c at the block nearest to x, y (in blocks), and its flat index."""
+    """Return both spline coefficients c (flat) at the block nearest to x, y, in blocks, and its index."""
     i = np.int64(min(F(nx) - F(2), max(F(1), x + F(0.5))))  # max(1, NaN) is 1
     j = np.int64(min(F(ny) - F(2), max(F(1), y + F(0.5))))
     n: Any = j * nx + i
@@ -116,7 +119,8 @@ def _inside(nx: int, ny: int, x: Real, y: Real) -> bool:
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _lines(c: Float, first: np.uintp, down: np.uintp, w: Weights) -> Weights:
-    """Return the sums of four coefficients along x, weighted by w, for four rows from index `first` on."""
+    """Return, for four successive rows, the sum of four neighbouring coefficients along x, weighted by w.
+    `first` is the index in c (flat) of the first coefficient, `down` the distance between rows."""
     step = np.uintp(2)
     return (
         spline_line(c, first, step, w),
@@ -128,7 +132,7 @@ def _lines(c: Float, first: np.uintp, down: np.uintp, w: Weights) -> Weights:
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _dot(a: Weights, b: Weights) -> Real:
-    """Inner product of two tuples of four numbers."""
+    """Return the inner product of two tuples of four numbers."""
     return (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3])
 
 
@@ -147,7 +151,8 @@ def _solve_near(
     c: Float, nx: int, ny: int, part: Real, x: Real, y: Real, u: Real, v: Real
 ) -> tuple[Real, Real, Real, Real, Weights]:
     """Find the position p for which p + part f(p) = (x, y), by one Newton step from (x, y) - part (u, v).
-    Returns p and f(p), with f the displacement of spline c, and the derivatives of p with respect to x, y."""
+    f is the displacement with the spline c. Returns both components of p and of f(p), and the derivatives of
+    p with respect to x, y: (dp_x/dx, dp_x/dy, dp_y/dx, dp_y/dy)."""
     px, py = x - part * u, y - part * v
     i, t = place_of(px, nx)
     j, s = place_of(py, ny)
@@ -177,8 +182,9 @@ def _read_path(
     out: Float,
     block: NDArray[np.int64],
 ) -> None:
-    """Compute the results of `read_path`, out (6, n) and block (5, n); arrays of missing steps are empty.
-    `weights` (5, 2, 5, m) are those of `path_weights`, for all pixels (m = 1) or for each (m = n)."""
+    """Compute the results of `read_path`, out (6, n) and block (5, n), from flat arrays, some empty.
+    Those of missing steps are empty. `weights` (5, 2, 5, m) of `path_weights` are for all pixels (m = 1) or
+    for each (m = n). `lattice` is x0, y0 and step of the lattice of `shape`."""
     bb, b, c, a, aa = splines
     has_bb, has_b, has_a, has_aa = measured
     ny, nx = shape
@@ -256,13 +262,13 @@ def _read_path(
 def path_weights(times: Float, frames: int, at: Float | float = 0.0) -> Float:
     """Return the weights (5, 2, 5, m) of five successive displacements along a path, at m times `at`.
 
-    The first axis is the frames that are there (`FRAMES_OF_PATH`); the second, the way from the position in
-    the step's first frame to that at `at`, and the displacement per interval at `at`; the third, the
-    displacement. Times are in frame intervals from mid-time. For even times, with the positions X0 in the
-    first frame and X at mid-time, four frames give X0 = X - d01/2 + (d12 - d-10)/16 and dX/dt dt = (26 d01 -
-    d-10 - d12)/24. Six give (34 d01 + 10 (d-10 + d12) - 3 (d-2-1 + d23))/48 with 0.4 times the noise variance
-    (frames = 6), or (2134 d01 - 116 (d-10 + d12) + 9 (d-2-1 + d23))/1920, exact to the fifth degree (frames =
-    7).
+    Axis 0: which frames are there (`FRAMES_OF_PATH`). Axis 1: the way from the position in the step's first
+    frame to that at `at`, and the displacement per interval at `at`. Axis 2: the five displacements. `frames`
+    is the kind of path. Times are in frame intervals from mid-time. For even times, with the positions X0 in
+    the first frame and X at mid-time and the displacement d_ij from frame i to frame j, four frames give X0 =
+    X - d01/2 + (d12 - d-10)/16 and dX/dt dt = (26 d01 - d-10 - d12)/24. Six give (34 d01 + 10 (d-10 + d12) -
+    3 (d-2-1 + d23))/48 with 0.4 times the noise variance (frames = 6), or (2134 d01 - 116 (d-10 + d12) + 9
+    (d-2-1 + d23))/1920, exact to the fifth degree (frames = 7).
     """
     at = np.ravel(at)
     out = np.empty((5, 2, 5, at.size))
@@ -276,7 +282,7 @@ def path_weights(times: Float, frames: int, at: Float | float = 0.0) -> Float:
 
 
 def five(steps: Sequence[Any]) -> list[Any]:
-    """Return five steps, padded from one, three or five steps by None on both sides."""
+    """Return a list of five steps, made from one, three or five by adding None on both sides."""
     missing = [None] * (2 - len(steps) // 2)
     return [*missing, *steps, *missing]
 
@@ -292,10 +298,10 @@ def read_path(
     """Return the motion of the particles that are at pixels X, Y at mid-time, and the blocks read for it.
 
     The motion, (6,) + the shape of X, px, is dX/dt dt at mid-time, the displacement over the step (chord),
-    and the mean position in the step's two frames minus that at mid-time (bend), each along X and Y. The
-    blocks are numbers in each of five steps, -1 if not read. `splines` are coefficients (ny, nx, 2), px, of
-    one, three or five steps, None if missing, with the measured blocks `valid`; `weights` come from
-    `path_weights`.
+    and the mean position in the step's two frames minus that at mid-time (bend), each along X, then Y. The
+    blocks, (5,) + the shape of X, are flat indices in the five steps, -1 if a step was not read. `splines`
+    are coefficients (ny, nx, 2), px, of one, three or five steps, None if missing; `valid` are masks of their
+    measured blocks; `weights` come from `path_weights`.
     """
     nodes = np.shape(X)
     weights = np.asarray(weights, np.float32)
@@ -344,8 +350,9 @@ def displacements_at_nodes(
     times: Float,
     every: int = 1,
 ) -> CameraDisplacements:
-    """Read the displacement in the images of the cameras `names`, for the nodes at z (ny, nx) at mid-time.
-    `steps` are one, three or five steps around; with `every` above 1, each so many-th node along x and y."""
+    """Read the displacements in the images of the cameras `names`, for the nodes at z (ny, nx) at mid-time.
+    `steps` are displacements by camera in one, three or five steps around; only each `every`-th node along x
+    and y is used. `times` (6,) of the frames are in frame intervals from mid-time."""
     z = z[::every, ::every]
     count, shape = len(names), z.shape
     jacobian = np.empty((2 * count, 3, *shape), np.float32)
@@ -380,8 +387,8 @@ def displacements_at_nodes(
 def _along_path(
     path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float, weights: Float
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
-    """Return what `read_path` returns for one camera at pixels X, Y, and the variances of noise and of waves.
-    Both are in px^2; the waves are those that the prior suppresses. Missing steps of `path` are None."""
+    """Return both results of `read_path` for one camera at pixels X, Y, and two variances, px^2.
+    They are from noise and from waves that the prior suppresses. In `path`, missing steps are None."""
     here = path[len(path) // 2]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]
@@ -398,8 +405,9 @@ def _along_path(
 
 @compiled(error_model="numpy")
 def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: Float, out: Float) -> None:
-    """Write the noise variance of n displacements along paths to out (c, n), from those of five steps.
-    `block` (5, n) are the blocks read, -1 if none; `weights` (5, 5, m) are by `FRAMES_OF_PATH` and step."""
+    """Write the noise variance of n displacements along paths to out (c, n), from the noise in five steps.
+    `noises` are (c, blocks) for each step; `block` (5, n) are the blocks read, -1 if none; `weights` (5, 5,
+    m) are by `FRAMES_OF_PATH` and by step."""
     bb, b, c, a, aa = noises
     for k in range(block.shape[1]):
         before, after = block[1, k] >= 0, block[3, k] >= 0
@@ -418,6 +426,6 @@ def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: F
 
 
 def _places_read(block: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return the number of positions along each path, 2, 4 or 6, from the blocks (5, ...), -1 if not read."""
+    """Return the number of positions along each path, 2, 4 or 6; `block` (5, ...) comes from `read_path`."""
     near, far = (block[[2 - n, 2 + n]] >= 0 for n in (1, 2))
     return np.asarray(2 + 2 * near.all(axis=0) + 2 * far.all(axis=0), np.uint8)

@@ -1,8 +1,8 @@
 """Learn the beads, spectra and noise of a record from sample frames, once before its first step.
 
-In this order: widths of the beads; first spectra, from windowed fields; noise, from differences between the
+In this order: widths of the beads; first spectra, from matched fields; noise, from differences between the
 cameras; second spectra, with this noise; the kind of paths; ripples. The result is a frozen `LearnedRecord`,
-stored in the recipe of the cube, so that all steps are weighted alike.
+which is stored with the cube, so that all steps are weighted alike.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ def _learned(
 
 @dataclass(frozen=True)
 class _SampleStep:
-    """One sample step with its matches, which do not depend on a prior."""
+    """One sample step with its prepared images and its matches, which do not depend on a prior."""
 
     flat: tuple[PreparedImages, PreparedImages]  # rectified, of both frames
     in_time: tuple[PreparedImages, PreparedImages]  # not rectified
@@ -209,7 +209,8 @@ class _SampleStep:
         frames: tuple[Frames, Frames],
         masks: tuple[Masks, Masks],
     ) -> _SampleStep:
-        """Prepare the images of a step's two frames and match them, between cameras and in time."""
+        """Prepare the images of the two frames of a step and match them, between cameras and in time.
+        `beads` are bead widths by camera, raw px; `masks`, by camera, are True on pixels to ignore."""
         one, two = (images_of(part, geometry, beads, mask) for part, mask in zip(frames, masks))
         flat, (first, second) = (one.rectified(), two.rectified()), (one.in_time(), two.in_time())
         found = {
@@ -226,7 +227,7 @@ def _bead_widths(
     geometry: GridGeometry,
     pool: ThreadPoolExecutor,
 ) -> dict[str, float]:
-    """Return the median width of the beads in the first frames, raw px; 0 for a texture."""
+    """Return, by camera, the median width of the beads in the first frames, raw px; 0 for a texture."""
     out = {}
     for name in geometry.cameras:
         images = [(first.get(name), mask.get(name)) for (first, _), (mask, _) in zip(steps, masks)]
@@ -304,7 +305,8 @@ def _displacement_samples(
     geometry: GridGeometry,
     pool: ThreadPoolExecutor,
 ) -> list[_FieldSample]:
-    """Return the displacement of camera `name` in each sample step; steps without it are left out."""
+    """Return the displacement of camera `name` in each sample step; steps without it are left out.
+    `beads` are bead widths by camera, raw px."""
     area = displacement_area(beads.get(name, 0.0) / geometry.sights[name].binning)
 
     def sample_of(step: _SampleStep) -> _FieldSample:
@@ -325,7 +327,7 @@ def _displacement_samples(
 
 
 def _first_spectrum(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> Prior:
-    """Learn the prior of one kind of field, from the spectrum of windowed fields, refined twice."""
+    """Learn the prior of one kind of field from the spectrum of the matched fields, refined twice."""
     fields = [one.field - edge_field(one.field) for one in samples]
     typical = float(np.mean([one.information for one in samples]))
     prior = first_prior(fields, typical, samples[0].area)
@@ -335,7 +337,8 @@ def _first_spectrum(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -
 
 
 def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: ThreadPoolExecutor) -> Prior:
-    """Return the prior, first raised to `ratio` of signal to noise, with the spectrum of its MAP fields."""
+    """Return a prior with the spectrum of the MAP fields that `prior` gives, with their noise subtracted.
+    For these fields, `prior` is raised to at least the signal-to-noise ratio `ratio`."""
     prior = prior.with_min_signal_to_noise(ratio)
     modes = Modes(prior, samples[0].field.shape[-2:])
     waves, information = zip(*pool.map(lambda one: one.estimate(modes), samples))
@@ -345,7 +348,7 @@ def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: 
 
 
 def _elevation_prior(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> tuple[Prior, float]:
-    """Learn the prior of z, with its fraction of waves, and the noise of scores per unit of Hessian."""
+    """Return the prior of z, with its fraction of waves, and the noise of scores per unit of Hessian."""
     prior = _first_spectrum(samples, pool)
     information, variance, epipolar, of_scores = _summary(samples, prior, pool)
     prior = replace(prior, information=information)
@@ -374,7 +377,7 @@ def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel
 
 @dataclass(frozen=True)
 class _Differences:
-    """Noise and waves as the differences between the cameras' displacements show them."""
+    """Noise and waves, as found from differences between the displacements of the cameras."""
 
     noise: float = 1.0  # noise of the displacements over that which the priors predict
     waves: float = 1.0  # fraction of the displacements' spectra that is waves
@@ -384,7 +387,7 @@ class _Differences:
 
     @classmethod
     def typical(cls, steps: Sequence[_Differences]) -> _Differences:
-        """Return the median of each number over several steps; the defaults without any."""
+        """Return the median of each number over several steps; the defaults if there are none."""
         if not steps:
             return cls()
         return cls(*map(float, np.median([astuple(one) for one in steps], axis=0)))
@@ -393,7 +396,8 @@ class _Differences:
 def _differences(
     geometry: GridGeometry, models: Mapping[str, FieldModel], step: _SampleStep, z: Float | None
 ) -> _Differences | None:
-    """Compare the cameras' displacements in a step on the surface z (ny, nx), metres; None if impossible."""
+    """Compare the displacements of the cameras in a step, on the surface z (ny, nx), metres.
+    Returns None if z is None or if fewer than two cameras measured. `models` are the estimators by camera."""
     if z is None:
         return None
     first, second = step.in_time

@@ -34,7 +34,8 @@ _ROWS_AT_ONCE = 128  # rows of a rectified image: the part of the fine grid they
 def _double(
     image: NDArray[Any], first: int, scale: np.float32, rows: NDArray[Any], out: NDArray[Any]
 ) -> None:
-    """Write the quintic B-spline of an image from row `first` on, times `scale`, at whole and half pixels."""
+    """Write an image, smoothed by the quintic B-spline and times `scale`, at whole and half pixels to `out`.
+    `out` has two rows for each row of the image from `first` on; `rows` (2, w + 8) is scratch."""
     h, w = image.shape
     # values of the spline at distances 0, 1, 2 (a) and 1/2, 3/2, 5/2 (b)
     a0, a1, a2 = np.float32(66 / 120), np.float32(26 / 120), np.float32(1 / 120)
@@ -83,7 +84,8 @@ def _double(
 
 
 def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
-    """Average squares of count x count pixels; 8-bit images become 16-bit, times 64, to keep fractions."""
+    """Return weighted means around squares of count x count px; 8-bit images become 16-bit, times 64.
+    If `count` is 1, pixels stay as they are."""
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32)
     if count == 1:
@@ -120,7 +122,8 @@ def _in(y: Any, h: int) -> Any:
 
 @compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def _bin(image: NDArray[Any], weights: NDArray[Any], count: int, half: np.float32, out: NDArray[Any]) -> None:
-    """Write sums weighted along each axis by `weights` (3 count,), plus `half`, around squares of pixels."""
+    """Write to `out`, for every square of count x count px, the sum of pixels weighted along both axes.
+    The `weights` (3 count,) reach over the neighbouring squares; `half` is added for rounding."""
     h, w = image.shape
     reach, wide = np.int64(count), np.int64(out.shape[1])
     line = np.empty(w + 2 * reach, np.float32)
@@ -153,12 +156,12 @@ def binned(camera: Camera, count: int) -> Camera:
 
 
 def _type_of_double(image: NDArray[Any]) -> np.dtype[Any]:
-    """Return the type of an image after `_doubled`: uint16 for integers of 8 or 16 bits, else float32."""
+    """Return the data type of an image after `_doubled`: uint16 for integers up to 16 bits, else float32."""
     return np.dtype(np.uint16 if image.dtype in (np.uint8, np.uint16) else np.float32)
 
 
 def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[NDArray[Any]]:
-    """Yield parts of an image on a grid twice as fine, for each (first, last) of `rows`, in one memory."""
+    """Yield parts of an image on a grid twice as fine, for each (first, last) row, in the same memory."""
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
     image = np.ascontiguousarray(image)
@@ -173,8 +176,9 @@ def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[N
 
 
 def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, Float, NDArray[np.bool_]]:
-    """Return where a camera sees x (nx,), y (ny,), metres, on z = 0: X, Y (ny, nx), half pixels, and a mask.
-    The mask is True at least three pixels (the reach of the spline) from the edge of the image."""
+    """Return where a camera sees the points x (nx,), y (ny,), metres, on z = 0, and a mask, all (ny, nx).
+    Positions X, Y are in half pixels. The mask is True at least three pixels (the reach of the spline) inside
+    the image; elsewhere X is negative."""
     X, Y = camera.project(x[None, :], y[:, None], 0.0)
     w, h = camera.size
     margin = 3.0
@@ -185,7 +189,7 @@ def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, 
 
 
 def rectify(image: NDArray[Any], X: Float, Y: Float) -> NDArray[Any]:
-    """Read an image at the positions X, Y (ny, nx), in units of half a pixel; 0 where X < 0."""
+    """Return an image read at the positions X, Y (ny, nx), in half pixels; 0 where X is negative."""
     out = np.empty(X.shape, _type_of_double(image))
     parts = [np.s_[row : row + _ROWS_AT_ONCE] for row in range(0, len(X), _ROWS_AT_ONCE)]
     rows = [(int(Y[part].min()) // 2, min(int(Y[part].max()) // 2 + 2, len(image))) for part in parts]
@@ -196,7 +200,7 @@ def rectify(image: NDArray[Any], X: Float, Y: Float) -> NDArray[Any]:
 
 
 def widen(image: NDArray[Any], x: float, y: float) -> NDArray[Any]:
-    """Blur an image by a Gaussian whose standard deviations along its axes are x and y, px."""
+    """Blur an image by a Gaussian with the standard deviations x and y along its axes, px."""
     sides = tuple(2 * int(np.ceil(2.5 * sigma)) + 1 if sigma >= 0.3 else 1 for sigma in (x, y))
     if sides == (1, 1):
         return image

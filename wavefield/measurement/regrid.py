@@ -1,4 +1,4 @@
-"""From a lattice of blocks to nodes: fill holes, fit cubic splines, read them where sight lines meet z."""
+"""From blocks to nodes: fill holes, fit cubic splines, and read them where sight lines meet the surface."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -57,7 +57,7 @@ def push_pull(fields: Float, valid: Mask) -> Float:
 
 
 def _doubled(coarse: Float, shape: tuple[int, ...]) -> Float:
-    """Interpolate fields (F, ., .) to a lattice of twice as many blocks, (F, ny, nx)."""
+    """Interpolate fields (F, my, mx) to a lattice of about twice as many blocks, (F, ny, nx) = `shape`."""
     for axis in (2, 1):
         # the centre of a block lies a quarter of a coarse block away from that of its coarse block
         block = np.arange(shape[axis])
@@ -76,13 +76,14 @@ def spline_prefilter(shape: tuple[int, int]) -> Float:
 
 
 def interpolation_gain(q: Float) -> Float:
-    """Mean gain of cubic-spline interpolation between blocks, at wavenumbers q along one axis, rad/block."""
+    """Return the mean gain of cubic-spline interpolation between blocks, at wavenumbers q, rad per block.
+    q is along one axis; from pi on, the gain is 0."""
     spline = np.sinc(q / (2 * np.pi)) ** 4 * 3.0 / (2.0 + np.cos(q))
     return np.where(np.abs(q) < np.pi, spline, 0.0)
 
 
 def local_coefficients(fields: Float) -> Float:
-    """Cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), to 1e-3, by a filter of fifteen blocks."""
+    """Return cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), to 1e-3, by a 15-block filter."""
     pole = np.sqrt(3.0) - 2.0
     kernel = np.sqrt(3.0) * pole ** np.abs(np.arange(-7.0, 8.0))
     reflected = {"kernelX": kernel, "kernelY": kernel, "borderType": cv2.BORDER_REFLECT}
@@ -91,7 +92,7 @@ def local_coefficients(fields: Float) -> Float:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_weights(t: np.float32) -> Weights:
-    """Cubic B-spline weights of four blocks at the fraction t of the way from the second to the third."""
+    """Return cubic B-spline weights of four blocks, a fraction t of the way from the second to the third."""
     s = np.float32(1.0) - t
     w0 = s * s * s * np.float32(1 / 6)
     w3 = t * t * t * np.float32(1 / 6)
@@ -101,7 +102,7 @@ def spline_weights(t: np.float32) -> Weights:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_slopes(t: np.float32) -> Weights:
-    """Derivatives of `spline_weights` with respect to t, per block."""
+    """Return the derivatives of `spline_weights` with respect to t, per block."""
     s = np.float32(1.0) - t
     w0, w3 = np.float32(-0.5) * s * s, np.float32(0.5) * t * t
     w1 = np.float32(3.0) * w3 - np.float32(2.0) * t
@@ -110,7 +111,8 @@ def spline_slopes(t: np.float32) -> Weights:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32:
-    """Weighted sum of four elements from k on, `step` apart (unsigned indices save numba a sign check)."""
+    """Return the sum, weighted by w, of four elements of c from index k on, `step` apart.
+    Unsigned indices save numba a check of their sign."""
     out: np.float32 = (
         w[0] * c[k] + w[1] * c[k + step] + w[2] * c[k + step + step] + w[3] * c[k + step + step + step]
     )
@@ -119,7 +121,7 @@ def spline_line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights, wy: Weights) -> np.float32:
-    """Return the value of a spline from 4 x 4 of its coefficients c (flat), the first at index k.
+    """Return the value of a spline from 4 x 4 of its coefficients c (flat), the first of them at index k.
     `step` and `down` are the distances in c between neighbours along x and y; wx, wy are the weights."""
     return (
         wy[0] * spline_line(c, k, step, wx)
@@ -131,7 +133,8 @@ def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def place_of(p: float, n: int) -> tuple[int, np.float32]:
-    """Split a position, kept one block from either end of n, into a block's number and the rest, 0 to 1."""
+    """Split a position p, in blocks of a lattice of n, into a block number and the fraction beyond, 0 to 1.
+    Positions are first limited to at least one block from either end."""
     lowest, highest = np.float32(1.0), np.float32(n) - np.float32(2.001)
     q = min(max(np.float32(p), lowest), highest)
     i: Any = np.int32(max(lowest, q))  # max(lowest, NaN) is lowest
@@ -149,8 +152,8 @@ def _read_along_lines(
     height: Float,
     out: Float,
 ) -> None:
-    """Write to out (n,) the spline where the sight lines from `centre` through x, y, `height` meet z = 0.
-    c (flat) are the coefficients on a lattice `shape`; `lattice` is x, y of its first block and 1 / step."""
+    """Write to out (n,) the spline where the sight lines from `centre` through (x, y, height) meet z = 0.
+    c (flat) are the coefficients on a lattice of `shape` (ny, nx); `lattice` is x0, y0 and 1 / step."""
     x0, y0, across = lattice
     cx, cy, cz = centre
     ny, nx = shape
@@ -174,7 +177,8 @@ def _read_surface(
     tolerance: np.float32,
     out: Float,
 ) -> None:
-    """Compute `read_surface` for out (rows, n); the loops run along rows, so that they vectorise."""
+    """Do what `read_surface` does, for flat coefficients c and out (rows, n); loops along rows vectorise.
+    `lattice` is x0, y0 and 1 / step of the lattice of `shape`."""
     n = x.shape[1]
     before, height, found = np.zeros(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
     half = np.float32(0.5)
@@ -198,8 +202,9 @@ def _read_surface(
 def read_surface(
     spline: Float, lattice: BlockLattice, centre: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
 ) -> Float:
-    """Return the elevation (ny, nx), m, at places x, y on the water, from a spline in apparent positions.
-    It solves x = x_a + D_a z(x_a), or x_a = c + (x - c) / (1 - z / c_z), with the camera's `centre` c."""
+    """Return the elevation (ny, nx), m, at points x, y on the water, from a spline in apparent positions.
+    It solves z = z_a(x_a), with the spline z_a at the apparent position x_a = c + (x - c) / (1 - z / c_z),
+    for a camera with the centre c = `centre`."""
     out = np.empty(x.shape, np.float32)
     place = lattice.x0, lattice.y0, 1.0 / lattice.step
     camera = float(centre[0]), float(centre[1]), float(centre[2])
@@ -211,8 +216,9 @@ def read_surface(
 def blocks_below(
     lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the flat index of the block in which a camera sees each point, none at the edge, and a mask.
-    Points x, y, z (ny, nx) and the camera's `centre` are in metres; the mask is True on the lattice."""
+    """Return the flat index of the block in which a camera sees each point, and a mask of points inside.
+    Points x, y, z (ny, nx) and the camera's `centre` are in metres. Inside is on the lattice; outermost
+    blocks are replaced by the next ones."""
     shrink = 1.0 / (1.0 - z / centre[2])
     row, column = (
         (c + (at - c) * shrink - first) / lattice.step

@@ -51,7 +51,8 @@ class FirstGuess:
 
 
 def first_guess(read: Read, cameras: Sequence[str], steps: Sequence[int]) -> FirstGuess:
-    """Find the range of displacements in some steps, from large patches that another patch confirms."""
+    """Find the range of displacements in some steps, by a search for large patches in the next frame.
+    Only those that agree with another patch count. `read(camera, frame)` gives an image or None."""
     kept: list[NDArray[np.float64]] = [np.zeros((0, 2))]
     tried = 0
     for step in steps:
@@ -67,7 +68,7 @@ def first_guess(read: Read, cameras: Sequence[str], steps: Sequence[int]) -> Fir
 
 
 def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
-    """Return the settings with a search range for the displacements of `guess`; the same if it suffices."""
+    """Return the settings with a search range that suits `guess`; the same object if theirs contains it."""
     low, high = settings.piv.search_x or (-4.0, 4.0)  # px: what the pyramid covers without a search
     if not guess.found or (low <= min(guess.x[0], guess.y[0]) and max(guess.x[1], guess.y[1]) <= high):
         return settings
@@ -104,8 +105,9 @@ class FirstHeights:
 
 
 def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> FirstHeights:
-    """Find the range of elevations in some frames, from large patches that another patch confirms.
-    A patch of a rectified image is searched for in that of another camera; z follows from the parallax."""
+    """Find the range of elevations in some frames, by a search for large patches in rectified images.
+    A patch is searched for in the image of another camera, and z follows from the parallax. Only elevations
+    that agree with that of another patch count. `read(camera, frame)` gives an image or None."""
     kept: list[NDArray[np.float64]] = [np.zeros(0)]
     tried = 0
     agreement = max(0.25 * (geometry.z_range[1] - geometry.z_range[0]), 12 * geometry.pixel)
@@ -156,7 +158,7 @@ def _heights(
 
 
 def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, FirstHeights]:
-    """Widen the range of elevations, in both arguments, if those found fill more than 0.6 of it."""
+    """Return both arguments, with a wider range of elevations if those found fill more than 0.6 of it."""
     low, high = found.searched
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if not found.found or all(abs(z - middle) < MAX_FILLED_RANGE * half for z in found.z):
@@ -168,7 +170,7 @@ def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, Firs
 
 def search_widened(pairs: Iterable[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
     """Return the geometry with search ranges that suit some frames; the same object if they suffice.
-    `pairs` are the two frames of sample steps, by camera. Ranges that the user has set are not changed."""
+    `pairs` are both frames, by camera, of sample steps. Ranges that the user has set do not change."""
     steps = list(pairs)
 
     def read(name: str, frame: int) -> NDArray[Any] | None:
@@ -189,7 +191,8 @@ def search_widened(pairs: Iterable[tuple[Images, Images]], geometry: GridGeometr
 
 
 def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
-    """Return whether more than 1 % of the elevations z lie within 3 % of an end of a range, or beyond."""
+    """Return whether more than 1 % of the elevations z lie within 3 % of an end of the range, or beyond.
+    `searched` is this range, in the unit of z; the 3 % refer to its span."""
     known = z[np.isfinite(z)]
     if not known.size:
         return False

@@ -130,7 +130,7 @@ class Settings:
                 raise ExperimentError("bead_height: particles in a light sheet do not float; leave it out")
 
     def adjusted(self, preset: str) -> Settings:
-        """These settings, changed by a preset for another kind of images.
+        """Return these settings, changed by a preset for another kind of images.
 
         Parameters
         ----------

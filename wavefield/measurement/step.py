@@ -157,7 +157,7 @@ def _pair(frames: Series, k: int) -> tuple[dict[str, NDArray[Any] | None], dict[
 
 
 def _empty(steps: int, geometry: GridGeometry) -> dict[str, NDArray[Any]]:
-    """Return the fields of a cube for so many steps, without values: NaN or 0, and the status failed."""
+    """Return the fields of a cube for this number of steps, without values: NaN or 0, status failed."""
     out: dict[str, NDArray[Any]] = {}
     for name in CUBE_FIELDS:
         dtype = np.dtype(TABLE[name].dtype)
@@ -214,7 +214,7 @@ def _fill_step(
 
 
 def _left_out_bits(cameras: Collection[str], geometry: GridGeometry) -> np.uint16:
-    """Return the bits of `Quality` that say that nodes were measured without these cameras."""
+    """Return the bits of `Quality` for nodes that were measured without these cameras."""
     bits = Quality(0)
     for name in cameras:
         bits |= Quality.without(geometry.cameras.index(name))
@@ -229,7 +229,8 @@ def _out_of_range(surfaces: Surfaces, geometry: GridGeometry) -> Mask:
 
 
 def _quality(estimate: StepEstimate, out_of_range: Mask) -> NDArray[np.uint16]:
-    """Return the bits of `Quality` of a step, (ny, nx), except those for masked or invisible nodes."""
+    """Return the bits of `Quality` of a step, (ny, nx), except those for masked or invisible nodes.
+    `out_of_range` (ny, nx) comes from `_out_of_range`."""
     first, second = estimate.nearest
     quality = first.quality | second.quality | estimate.motion.quality
     quality[out_of_range] |= np.uint16(Quality.REJECTED_RANGE | Quality.FILLED)
@@ -247,7 +248,8 @@ def _fields(
     frame_rate: float,
     times: Float,
 ) -> dict[str, Float]:
-    """Return the fields of a step by name, (ny, nx), in the cube's units, and `uncertainty_terms`."""
+    """Return the fields of a step by name, (ny, nx), in the units of the cube, and `uncertainty_terms`.
+    The terms are standard deviations, (terms, 4, ny, nx), m, of z and of dx, dy, dz per step."""
     first, second = estimate.nearest
     motion, z, rise = estimate.motion, estimate.mid_time.z, estimate.mid_time.rise
     d = motion.d.copy()
@@ -273,7 +275,7 @@ def _fields(
 
 @dataclass(frozen=True)
 class Instant:
-    """The surface of one instant, with its images for matching in time."""
+    """The surface at one instant, with the images from which it was measured."""
 
     surface: Surface | None  # elevation at the nodes; None if it could not be measured
     images: Images  # from which z is measured again if a camera must be left out
@@ -281,7 +283,7 @@ class Instant:
     _without: dict[str, Surface | None] = field(default_factory=dict)
 
     def without(self, camera: str, geometry: GridGeometry, model: Model) -> Surface | None:
-        """Return the surface measured without one camera, None if it cannot be; stored for later calls."""
+        """Return the surface measured without one camera, None if that fails; kept for later calls."""
         if camera not in self._without:
             self._without[camera] = surface(self.images.rectified(camera), geometry, model.elevation)
         return self._without[camera]
@@ -290,7 +292,7 @@ class Instant:
 def measure_instant(
     frames: Frames, geometry: GridGeometry, model: Model, masks: Masks | None = None
 ) -> Instant:
-    """Measure the elevation of one instant from raw frames, and prepare its images for matching in time."""
+    """Measure the elevation at one instant from raw frames, and prepare its images for matching in time."""
     images = images_of(frames, geometry, dict(model.record.beads), masks)
     # the rectified images are freed before those for matching in time are made: each set takes 20 MB
     found = surface(images.rectified(), geometry, model.elevation)
@@ -305,7 +307,7 @@ def estimate_step(
     times: Float,
 ) -> StepEstimate | None:
     """Estimate elevation and motion of a step, without a camera that contradicts the others.
-    `window` are the six instants around, `moves` the displacements between them. None if not measurable."""
+    `window` are the six instants around, `moves` the displacements between. None if not measurable."""
     surfaces: Surfaces = [instant.surface for instant in window]
     estimate = _estimate(surfaces, moves, geometry, model.record.path_frames, times)
     if estimate is None:
@@ -356,5 +358,6 @@ def _estimate(
 
 
 def _departure(orders: Sequence[Float], frames: NDArray[np.uint8]) -> float:
-    """Return the robust variance, over the nodes, of z from six frames minus z from four, m^2; else 0."""
+    """Return the robust variance, m^2, over the nodes, of z from six frames minus z from four.
+    `orders` and `frames` come from `z_at_mid_time`. Without z from six frames, the result is 0."""
     return robust_std((orders[0] - orders[1])[frames == 6]) ** 2 if len(orders) > 2 else 0.0

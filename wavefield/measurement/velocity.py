@@ -38,8 +38,7 @@ def _row(jacobian: Float, i: int, k: int) -> tuple[Any, Any, Any]:
 @njit
 def _factored(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Matrix:
     """Factorise the matrix [[a, b, c], [b, d, e], [c, e, f]] as L D L^T, with the pivots a, d1, f1.
-    Returns 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1. The last is NaN if the cameras do not determine all three
-    unknowns."""
+    Returns 1/a, b/a, c/a, 1/d1, e1/d1, 1/f1. The last is NaN if cameras do not determine all unknowns."""
     lb, lc = b / a, c / a
     d1, e1 = d - b * lb, e - b * lc
     le = e1 / d1
