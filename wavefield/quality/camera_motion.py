@@ -86,7 +86,7 @@ def sample(
     x, y = np.meshgrid(geometry.lattice.x, geometry.lattice.y)
     first, second = (geometry.rig[name] for name in pair)
     # where the sight line of the first camera meets the water
-    x, y = (v - _sight_slope(first, axis, v) * match.height for axis, v in enumerate((x, y)))
+    x, y = (v + _sight_slope(first, axis, v) * match.height for axis, v in enumerate((x, y)))
     column, row = (
         np.rint((v - side[0]) / geometry.grid.step)
         for v, side in zip((x, y), (geometry.grid.x, geometry.grid.y))
@@ -96,7 +96,7 @@ def sample(
     x, y, eps_y = x[good], y[good], match.eps_y[good]
     dx, dy, dz = displacement[:, row[good].astype(np.intp), column[good].astype(np.intp)]
     # displacement seen by the second camera, projected on z = 0
-    dx, dy = dx + _sight_slope(second, 0, x) * dz, dy + _sight_slope(second, 1, y) * dz
+    dx, dy = dx - _sight_slope(second, 0, x) * dz, dy - _sight_slope(second, 1, y) * dz
     p, q = (match.parallax / np.hypot(*match.parallax))[:, good]
     values = np.stack([x, y, eps_y, q * dx - p * dy, np.hypot(dx, dy)])
     x, y, eps_y, velocity, speed = _patch_means(
