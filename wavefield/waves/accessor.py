@@ -54,7 +54,7 @@ def _method(name: str, field: str | None) -> Callable[..., Any]:
 
     method = call_with_field if field else call_with_cube
     method.__name__ = name
-    method.__doc__ = f"Result of `wavefield.waves.{name}` for {'a field of the cube' if field else 'the cube'}."
+    method.__doc__ = f"Result of `wavefield.waves.{name}` for {'a field' if field else 'the cube'}."
     return method
 
 
