@@ -128,7 +128,18 @@ def _allow(catalog: Path, data: Mapping[str, Any], parameter: str, value: str) -
 
 
 def is_catalog(path: str | Path) -> bool:
-    """Return whether a YAML file is an intake catalog (it has a key ``entries``), not an experiment."""
+    """Return whether a YAML file is an intake catalog, not an experiment.
+
+    Parameters
+    ----------
+    path : path
+        YAML file.
+
+    Returns
+    -------
+    bool
+        True if it has the key ``entries``.
+    """
     return "entries" in read_yaml(Path(path))
 
 

@@ -146,13 +146,26 @@ class Run:
 
     Its attributes are read when first used. Those that are absent are None or empty, and `reason` explains
     why.
+
+    Parameters
+    ----------
+    cube : Dataset, (time, y, x)
+        The cube, lazy.
+    store : path
+        Store of the cube.
+    waves_path : path
+        Store of the cube's waves, which may not exist.
+    experiment_path : path, optional
+        Experiment file, by default the one next to the cube or the original one.
+    truth_path : path, optional
+        Store of a simulation's exact fields, by default ``truth/truth.zarr`` next to the experiment file.
     """
 
-    cube: xr.Dataset  # (time, y, x): The cube, lazy
-    store: Path = Path()  # Store of the cube
-    waves_path: Path = Path()  # Store of the cube's waves, which may not exist
-    experiment_path: Path | None = None  # Experiment file; None for that next to the cube or the original
-    truth_path: Path | None = None  # Store of the exact fields of a simulation; None for truth/truth.zarr
+    cube: xr.Dataset
+    store: Path = Path()
+    waves_path: Path = Path()
+    experiment_path: Path | None = None
+    truth_path: Path | None = None
     _reasons: dict[str, str] = field(default_factory=dict, init=False, repr=False)
 
     def reason(self, name: str) -> str:
