@@ -13,7 +13,7 @@ Terms:
 * Hessian H: sums over a block of gx gx, gx gy, gy gy; the block's own correction of d is H^-1 s;
 * noise of the scores nu: their variance per unit of H;
 * information A = H / nu: inverse variance of the block's own displacement; in a hole, A is 0 or small;
-* footprint F: gain, against wavenumber, of the area that the value of a block averages over;
+* footprint F: gain, as a function of wavenumber, of averaging over the area that a block's value represents;
 * prior: the spectrum S of the field, learned once per record, with the typical information of a block;
 * MAP field (maximum a posteriori): the most probable field, given the scores of all blocks and the prior;
 * to refine a spectrum: to compute it again from the MAP fields that a previous spectrum gave.

@@ -36,8 +36,8 @@ def gaussian(sigma: float) -> np.ndarray:
 
 
 def window_weights(window: float) -> np.ndarray:
-    """Return the weights, along one axis of the lattice, of the Gaussian window.
-    It has the area of a square of `window` px."""
+    """Return the weights, along one axis of the lattice, of the Gaussian window of matching.
+    The window has the same area as a square of `window` x `window` px."""
     return gaussian(float(window / np.sqrt(4 * np.pi) / BLOCK))
 
 
@@ -118,8 +118,7 @@ def _extend_oddly(field: np.ndarray, margin: int, out: np.ndarray) -> None:
 @njit
 def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) -> None:
     """Subtract from scores (2, ny, nx), in place, what displacement gradients inside the blocks add.
-    `slope` (4, ny, nx) has these gradients as in `slopes`; `moments` (9, ny, nx) is from
-    `gradient_moments`."""
+    `slope` (4, ny, nx) are the gradients (see `slopes`), `moments` (9, ny, nx) from `gradient_moments`."""
     _, ny, nx = sums.shape
     for j in range(ny):
         sx, sy = sums[0, j], sums[1, j]
@@ -165,8 +164,7 @@ def _strain_products(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float, float, float, float]:
     """Return the sums over usable blocks of a.a, a.b, b.b, r.a, r.b, for a least-squares fit r = c a + s^2 b.
-    a and b are the two terms of `_strains`, r the scores `sums` (2, ny, nx); `count` is 1 for usable
-    blocks."""
+    a and b are the two terms of `_strains`, r the scores `sums` (2, ny, nx); `count` is 1 if usable."""
     aa = ab = bb = ra = rb = 0.0
     for j in range(count.shape[0]):
         for i in range(count.shape[1]):
@@ -327,9 +325,8 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
-    """Return a mask (ny, nx), True in holes: the mean information of 7 x 7 blocks is small there.
-    It is at most 0.15 of the typical one. `information` (ny, nx) is the inverse variance of a block's
-    value."""
+    """Return a mask (ny, nx), True in holes, where 7 x 7 blocks have at most 0.15 of the typical information.
+    `information` (ny, nx) is the inverse variance of the value of each block."""
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )

@@ -124,8 +124,7 @@ def _fold(row: Array, out: Array) -> None:
 @njit
 def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
     """Write block sums of G = (gx gx, gx gy, gy gy) to out[:3], of x G to out[3:6] and of y G to out[6:].
-    gx, gy are the gradients of `image` (with border); x, y are pixel positions from the block's centre,
-    px."""
+    gx, gy are the gradients of `image` (with border); x, y are px from the centre of a pixel's block."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums

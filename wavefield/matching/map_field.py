@@ -278,8 +278,7 @@ class Cosines:
 
     def quarters(self, field: Float) -> Float:
         """Return the four parts of a field (c, ny, nx), even or odd along y and x: (2, hy, 2, c, hx).
-        Axes 0 and 2 are the parities (even, odd) along y and x; hy x hx blocks are a quarter of the
-        lattice."""
+        Axes 0 and 2 are the parities (even, odd) along y and x; hy x hx blocks are a quarter lattice."""
         hy, hx = self._half
         out = np.empty((2, hy, 2, len(field), hx), F)
         _fold(np.ascontiguousarray(field, F), out)

@@ -274,8 +274,7 @@ def scores_at(
 
     Two cameras see a bead unequally bright, so that a block with a part of it would seem to move. Every pixel
     therefore counts in the block that contains the brightest point of its bead. The validity of the blocks
-    stays that of `found`; scores and Hessians are 0 in unusable blocks and in the eight blocks around each of
-    them.
+    stays that of `found`; scores and Hessians are 0 in unusable blocks and in the eight around each.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     pair.update_weights(u, v)
@@ -340,8 +339,8 @@ def _assess(
     pair: _LevelPair, u: np.ndarray, v: np.ndarray, sums: np.ndarray, step: np.ndarray, outlier: np.ndarray
 ) -> Displacement:
     """Return the displacement u, v (ny, nx), px, with the correlation, scores and validity of its blocks.
-    `sums` (12, ny, nx) come from `_last_sums`, before the last step (2, ny, nx), px. `outlier` (ny, nx) is
-    True where the median of the neighbours replaced the displacement."""
+    `sums` (12, ny, nx) are those of `_last_sums` before the last `step` (2, ny, nx), px, to u, v. `outlier`
+    (ny, nx) is True where the median of the neighbours replaced the displacement."""
     windowed = pair.windows(sums[5:])
     correlation, energy = _correlation(windowed, pair.coverage)
     # `sums` holds the Hessian of image a, noise included. `ratio` is the common gradient energy over that of

@@ -34,7 +34,7 @@ class MatchSettings:
     search_x, search_y : (float, float) or None
         Smallest and largest displacement to search, px of the image; None for no search.
     search_window : float
-        Size of the Gaussian window in this search, px of the coarsest level.
+        Side of a square with the area of the Gaussian window in this search, px of the coarsest level.
     min_correlation : float
         Blocks with a lower normalised correlation are invalid.
     min_gradient_energy : float

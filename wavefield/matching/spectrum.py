@@ -63,10 +63,10 @@ class Prior:
         Fraction of the spectrum that is waves. The rest is noise of long wavelength, as on still water; the
         uncertainty does not count it as waves that the measurement misses.
     detected : tuple of tuple of bool
-        For every component and wavenumber, whether waves stand out from the noise; empty if they do at all.
+        For every component and wavenumber, whether waves stand out from the noise; empty if they always do.
         Where they do not, the power is the upper limit of waves that may be there undetected.
     undetected_fraction : float
-        Fraction of these upper limits that the power in the sample fields amounts to.
+        Power in the sample fields at these wavenumbers, as a fraction of the upper limits.
     area : float
         Variance of the area that a block's value averages over, px^2.
 
@@ -181,9 +181,9 @@ def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np
 
 
 class WavenumberRings:
-    """Sorts modes kx (mx,), ky (my, 1) into rings (bins of wavenumber) and six sectors, and averages there.
-    Sectors are ranges of direction. `middle` (rings,) are wavenumbers, rad per block; `count` (rings,) and
-    `sector_count` (sectors, rings) numbers of modes; `of_modes` (my, mx) is the ring of each mode."""
+    """Rings (bins of wavenumber) of modes kx (mx,), ky (my, 1), each divided into six sectors of direction.
+    `middle` (rings,) are wavenumbers, rad per block; `count` (rings,) and `sector_count` (sectors, rings)
+    numbers of modes; `of_modes` (my, mx) is the ring of each mode."""
 
     def __init__(self, kx: Float, ky: Float) -> None:
         edges = np.linspace(0, np.pi, RINGS + 1)
@@ -212,8 +212,8 @@ class WavenumberRings:
 
     def significant(self, ratio: Float) -> NDArray[np.bool_]:
         """Return a mask (rings,), True for rings whose `ratio` (rings,) of power to noise shows waves.
-        These are the first three; those up to the first with a ratio below 0.3; and any below 2 rad per block
-        in which the ratio exceeds 1.5, both alone and averaged with its two neighbours."""
+        These are the first three; those before the first with a ratio below 0.3; and any below 2 rad per
+        block in which the ratio exceeds 1.5, both alone and averaged with its two neighbours."""
         occupied = self.count > 0
         last = self.count_until_false(occupied & (ratio > DETECTED_SIGNAL_TO_NOISE))
         total, count = (np.convolve(f, np.ones(3), mode="same") for f in (ratio * self.count, self.count))
@@ -223,7 +223,7 @@ class WavenumberRings:
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
         """Return the ratio (rings,) of power to noise, averaged over five neighbouring rings.
-        The first four rings, which contain calibration errors, get the value of the next one."""
+        The first four rings do not count, because they contain calibration errors."""
         count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")

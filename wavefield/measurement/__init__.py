@@ -1,7 +1,7 @@
 """From frames to z, z_t, u, v, w with their standard uncertainties, at the nodes of one grid.
 
-All functions take and return arrays; step.py shows one step from top to bottom. Terms, beside those of
-`wavefield.matching`:
+All functions take and return arrays; step.py shows one step from top to bottom. Terms, in addition to those
+of `wavefield.matching`:
 
 * node: point (x, y) of the output grid; a place is any other point on the water;
 * apparent position: where the sight line of a camera through a point meets the plane z = 0;

@@ -96,9 +96,8 @@ def map_elevation(
     noise_across: bool = True,
 ) -> ElevationEstimate:
     """Estimate the most probable elevation (MAP) from the matches of all pairs and `blocks`, from `combine`.
-    With parallax dD, score s and Hessian H of a block for displacements become -dD . s and dD H dD for z.
-    The noise is that across the sight lines, or of the scores for z if not `noise_across`; `pixel` is in
-    metres."""
+    With parallax dD, score s and Hessian H of a block for displacements become -dD . s and dD H dD for z. The
+    noise is that across the sight lines, or, if not `noise_across`, of the scores for z. `pixel` is in m."""
     z = blocks.filled
     edges, waves = modes.split(z)
     pairs = [_PairScores(m, pixel) for m in matches]

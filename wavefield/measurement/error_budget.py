@@ -97,7 +97,7 @@ def noise(estimate: StepEstimate) -> Float:
 
 
 def removed_by_prior(estimate: StepEstimate) -> Float:
-    """Return the variance of waves that the prior suppresses, (4, ny, nx), m^2, in all cameras alike."""
+    """Return the variance of waves that the prior suppresses in all cameras alike, (4, ny, nx), m^2."""
     z = np.mean([one.missing for one in estimate.nearest], axis=0)
     return np.concatenate([z[None], estimate.motion.missing])
 

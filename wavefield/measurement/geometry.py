@@ -37,8 +37,7 @@ _ORDER = 4
 
 class Sight:
     """Image positions and Jacobians of the nodes x, y (ny, nx) in one camera, as polynomials in z.
-    `binning` is the side, in raw px, of a pixel of the binned image, to which `camera` and `lattice`
-    belong."""
+    `binning` is the side, in raw px, of a pixel of the binned image; `camera` and `lattice` are for that."""
 
     def __init__(
         self, camera: Camera, binning: int, x: Float, y: Float, z_range: tuple[float, float]
@@ -156,8 +155,7 @@ def fit_plane(
 
 def _reach(camera: Camera, edge: Float) -> Float:
     """Return points (n, 2), metres, that bound the part of z = 0 which a camera sees.
-    If the horizon is in view, they include the visible ones of the grid's edge nodes `edge` (m, 2),
-    metres."""
+    If the horizon is in view, they include the visible ones of the grid's edge nodes `edge` (m, 2), m."""
     view = view_on_water(camera)
     if np.isfinite(camera.corners()).all():
         return view
@@ -210,7 +208,7 @@ class Covered:
     flat: Mask | None  # of the rectified image; None for a camera that does not measure z
 
     def at(self, X: NDArray[Any], Y: NDArray[Any]) -> Pixels:
-        """Return a mask, True where the block around X, Y, px, is in the image and partly masked."""
+        """Return a mask, True where the block around X, Y, px, is in the image and has masked pixels."""
         whole = self.raw.levels[0]
         h, w = whole.shape
         with np.errstate(invalid="ignore"):

@@ -75,7 +75,7 @@ GREY_LEVELS_PER_E = 5000.0  # grey levels per factor e of brightness: 65535 leve
 
 
 def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
-    """Return whether a frame is a grey image of `size` (width, height) with contrast, and mostly finite."""
+    """Return whether a frame is a grey image of `size` (width, height) with contrast, mostly finite."""
     if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
         return False
     if image.dtype.kind not in "uif":

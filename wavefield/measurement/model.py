@@ -41,8 +41,8 @@ class LearnedRecord:
         Variance of the matched displacement of every velocity camera over the field, px^2: the largest among
         the sample steps.
     path_frames : int
-        Kind of the paths from which velocities follow, with the smallest error: through 4 frames, through 6
-        with less noise (6), or through 6 exactly (7); see `path_weights`.
+        Kind of the paths that give velocities with the smallest error: through 4 frames (4), through 6
+        smoothed frames, with less noise (6), or through 6 exactly (7); see `path_weights`.
     ripples : (float, float)
         Standard deviation of the rise per frame of waves shorter than blocks, 0 without any, and their
         wavelength, metres (`ripple_rise`).
@@ -95,7 +95,7 @@ class LearnedRecord:
 class FieldModel:
     """Estimator of a field with the learned spectrum `prior` on a lattice of `shape` (ny, nx).
     Only holes inside the mask `inner` (ny, nx) tighten the solver's tolerance; None: all. `whole_beads` tells
-    whether to use `scores_at`. Tables are computed at first use."""
+    whether to use `scores_at` in place of `reevaluate`. Tables are computed at first use."""
 
     def __init__(
         self,
@@ -260,7 +260,7 @@ def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str,
 
 
 def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> dict[str, Float]:
-    """Amplitude gains of the measured fields.
+    """Return the amplitude gains of the measured fields for waves.
 
     Parameters
     ----------

@@ -112,8 +112,7 @@ def matched_pixels(
 ) -> dict[str, NDArray[np.float64]]:
     """Match points of still water in all cameras, to level a rig; return their pixels (n, 2) by camera.
     Pixels are (column, row). Point n is the same in all cameras, NaN where its pair does not match.
-    `read(camera, frame)` gives an image or None. Raises CalibrationError if none of the `frames` is usable in
-    all cameras."""
+    `read(camera, frame)` gives an image or None. CalibrationError if no frame is usable in all cameras."""
     rig = geometry.rig
     cells = np.s_[::CLUSTER, ::CLUSTER]  # closer blocks share beads
     x, y = (v[cells] for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))

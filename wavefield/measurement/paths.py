@@ -182,8 +182,8 @@ def _read_path(
     out: Float,
     block: NDArray[np.int64],
 ) -> None:
-    """Compute the results of `read_path`, out (6, n) and block (5, n), from flat arrays, some empty.
-    Those of missing steps are empty. `weights` (5, 2, 5, m) of `path_weights` are for all pixels (m = 1) or
+    """Compute the results of `read_path`, out (6, n) and block (5, n), from flat arrays.
+    Arrays of missing steps are empty. `weights` (5, 2, 5, m) of `path_weights` are for all pixels (m = 1) or
     for each (m = n). `lattice` is x0, y0 and step of the lattice of `shape`."""
     bb, b, c, a, aa = splines
     has_bb, has_b, has_a, has_aa = measured
@@ -264,11 +264,11 @@ def path_weights(times: Float, frames: int, at: Float | float = 0.0) -> Float:
 
     Axis 0: which frames are there (`FRAMES_OF_PATH`). Axis 1: the way from the position in the step's first
     frame to that at `at`, and the displacement per interval at `at`. Axis 2: the five displacements. `frames`
-    is the kind of path. Times are in frame intervals from mid-time. For even times, with the positions X0 in
-    the first frame and X at mid-time and the displacement d_ij from frame i to frame j, four frames give X0 =
-    X - d01/2 + (d12 - d-10)/16 and dX/dt dt = (26 d01 - d-10 - d12)/24. Six give (34 d01 + 10 (d-10 + d12) -
-    3 (d-2-1 + d23))/48 with 0.4 times the noise variance (frames = 6), or (2134 d01 - 116 (d-10 + d12) + 9
-    (d-2-1 + d23))/1920, exact to the fifth degree (frames = 7).
+    is the kind of path; times are in frame intervals from mid-time. For even times, with the step from frame
+    0 to frame 1, positions X0 in frame 0 and X at mid-time, and displacements d_ij from frame i to j, four
+    frames give X0 = X - d01/2 + (d12 - d-10)/16 and dX/dt dt = (26 d01 - d-10 - d12)/24. Six give (34 d01 +
+    10 (d-10 + d12) - 3 (d-2-1 + d23))/48 with 0.4 times the noise variance (frames = 6), or (2134 d01 - 116
+    (d-10 + d12) + 9 (d-2-1 + d23))/1920, exact to the fifth degree (frames = 7).
     """
     at = np.ravel(at)
     out = np.empty((5, 2, 5, at.size))

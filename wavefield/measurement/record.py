@@ -70,19 +70,20 @@ _FLAT = Prior.isotropic((0.0, np.pi), (0.0, 0.0), 1.0)  # prior for a light shee
 
 
 def sample_steps(count: int, number: int = 0) -> list[int]:
-    """Steps of a record from which its spectra and noise are learned.
+    """Return the numbers of the steps of a record from which its spectra and noise are learned.
 
     Parameters
     ----------
     count : int
         Number of steps of the record.
     number : int, default 0
-        Number of the set: 1 or 2 give other steps if those of 0 cannot be measured.
+        0, 1 or 2 select different sets of steps; 1 and 2 are for records where the steps of set 0 cannot be
+        measured.
 
     Returns
     -------
     list of int
-        At most four steps, evenly spaced over the record.
+        Numbers of at most four steps, counted from 0, evenly spaced over the record.
 
     Examples
     --------
@@ -123,8 +124,8 @@ def learn(
 
     Notes
     -----
-    The first spectrum is that of windowed fields. MAP fields and spectra are then computed from each other in
-    turn (`refined_prior`). The noise of the displacements is scaled so that the misfit between the cameras
+    The first spectrum is that of the matched fields. MAP fields and spectra are then computed from each other
+    in turn (`refined_prior`). The noise of the displacements is scaled so that the misfit between the cameras
     has the median of chi^2.
     """
     with ThreadPoolExecutor(threads) as pool:
@@ -245,7 +246,7 @@ def _bead_widths(
 class _FieldSample:
     """One field (elevation or displacement) of a sample step, with functions that estimate it by a prior."""
 
-    field: Float  # (c, ny, nx): the windowed field, holes filled
+    field: Float  # (c, ny, nx): the matched field, holes filled
     information: float  # mean over the blocks that have any
     area: float  # variance of the area that a block's value averages over, px^2 (`Prior`)
     estimate: Callable[[Modes], tuple[Float, float]]  # coefficients of the MAP field, mean information
@@ -397,7 +398,7 @@ def _differences(
     geometry: GridGeometry, models: Mapping[str, FieldModel], step: _SampleStep, z: Float | None
 ) -> _Differences | None:
     """Compare the displacements of the cameras in a step, on the surface z (ny, nx), metres.
-    Returns None if z is None or if fewer than two cameras measured. `models` are the estimators by camera."""
+    Returns None if z is None or if nothing can be compared. `models` are the estimators by camera."""
     if z is None:
         return None
     first, second = step.in_time

@@ -72,10 +72,9 @@ def solve_nodes(
     """Solve for the motion of the water at n nodes, seen by N cameras, and write it to out (16, n).
 
     Rows in threes: displacement d at mid-time, chord, bend, variance of d due to noise. Then one row each:
-    variance of suppressed waves over `parts` (3,); misfit |J d - moved| / sqrt(2N), px; chi^2 per degree of
-    freedom; the factor (at least 1) by which chi^2 enlarges the noise variance. `jacobian` is (2N, 3, n),
-    `axes` (N, 3), the other fields (2N, n), as in `CameraDisplacements`; `parts` come from
-    `component_variances`.
+    variance of suppressed waves over `parts` (3,), from `component_variances`; misfit |J d - moved| /
+    sqrt(2N), px; chi^2 per degree of freedom; the factor (at least 1) by which chi^2 enlarges the noise
+    variance. `jacobian` is (2N, 3, n), `axes` (N, 3), the other fields (2N, n), as in `CameraDisplacements`.
     """
     rows, n = moved.shape
     weight = np.empty(rows)
@@ -173,8 +172,8 @@ def velocity(
     """Compute the motion of the water at the nodes at mid-time, by least squares over the cameras.
 
     The motion d minimises sum w |J d - dX|^2: w are the weights, J the 2N x 3 Jacobian of N cameras on the
-    surface z (ny, nx), metres, and dX the image velocity per step (`read_path`). `steps` are the
-    displacements by camera in one, three or five steps; the middle one is measured. Noise of the cameras is
+    surface z (ny, nx), metres, and dX the image velocity per step (`read_path`). `steps` are displacements by
+    camera in one, three or five successive steps; d belongs to the middle one. Noise of the cameras is
     independent; waves that the prior suppresses are the same in all. With `may_leave_out`, a camera that
     contradicts the others is left out. None if fewer than two cameras have displacements in the middle step.
     """
@@ -206,9 +205,8 @@ def velocity(
 def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
     """Return the index of the only camera without which the others agree; None if there is not exactly one.
 
-    `misfit` is the median chi^2 per degree of freedom with all cameras, and `misfit_without(n)` that without
-    camera n. Among three cameras in a line, one that has moved along this line is not found, because any two
-    agree.
+    `misfit` is the median chi^2 per degree of freedom with all cameras, `misfit_without(n)` that without
+    camera n. Of three cameras in a line, one that has moved along this line is not found: any two agree.
     """
     if n_cameras < 3 or not misfit > MAX_MISFIT:
         return None
