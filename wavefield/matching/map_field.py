@@ -77,7 +77,7 @@ class Modes:
         self._cosines = Cosines(shape, (my, mx))
         self._by_parity = [self._cosines.split_parities(f) for f in (self.foot[None], self.inverse)]
         self.freedom = float(np.mean([_freedom(one / (one + 1.0)) for one in ratio]))
-        # signal-to-noise ratio of single blocks, and so of the edge slopes that are fitted to them
+        # signal-to-noise ratio of single blocks, and therefore of the edge slopes that are fitted to them
         of_blocks = prior.information * spectrum.mean(axis=(1, 2))
         self._kept = np.minimum(of_blocks, 1.0).astype(np.float32)[:, None, None]
         self._preconditioner = Preconditioner(

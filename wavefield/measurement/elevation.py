@@ -28,10 +28,10 @@ _SMOOTH_MODES = 6  # cosines along each side: epipolar errors as smooth as these
 NOISE_MARGIN = 1.5  # factor on the noise across the sight lines, because learned spectra contain some noise
 MIN_MEASURED = 0.2  # least fraction of the common view with valid blocks; below, there is no surface
 MAX_PAIR_DIFFERENCE_PX = 1.5  # largest difference between the elevations of two pairs, as parallax
-_PAIR_MEAN_BLOCKS = (5, 5)  # blocks over which it is averaged
+_PAIR_MEAN_BLOCKS = (5, 5)  # blocks over which this difference is averaged
 _SCORE_MEAN_BLOCKS = (9, 9)  # blocks over which scores are averaged: noise is below a third of the next limit
 _MAX_SCORE_DIFFERENCE_PX = 0.75  # largest difference between two pairs' corrections, as parallax
-_MIN_RELATIVE_HESSIAN = 0.3  # over the mean: blocks with less do not determine an elevation
+_MIN_RELATIVE_HESSIAN = 0.3  # times the mean Hessian: blocks with less do not determine z
 _WINDOW_REACH = np.ones((5, 5), np.uint8)  # blocks that share the window of one block
 
 
@@ -265,9 +265,9 @@ class Surface:
     epipolar: float  # rms of the smooth epipolar error as elevation, metres
     quality: NDArray[np.uint16]  # (ny, nx): bits of `Quality`: measured or filled, and why it was rejected
     inconsistent: Mask  # (ny, nx): where pairs of cameras give different elevations
-    # read(x, y): elevation at places x, y (ny, nx), one near each node, metres
+    # read(x, y): elevation at points x, y (ny, nx), one near each node, metres
     read: Callable[[Float, Float], Float] = field(repr=False)
-    # is_measured(x, y, z): whether the surface was measured at these places
+    # is_measured(x, y, z): whether the surface was measured at these points
     is_measured: Callable[[Float, Float, Float], Mask] = field(repr=False)
 
 

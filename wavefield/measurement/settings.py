@@ -69,7 +69,7 @@ class Settings:
         Side of a pixel of the rectified images, m. Default: that of the coarsest camera, reduced to as little
         as half if blocks of 5 px would exceed 0.8 grid steps.
     eps_limit : float
-        Matches with an epipolar error above this many times its robust rms over the image are rejected.
+        Matches with an epipolar error above this many times its rms are rejected.
     row_delays : tuple of (str, float)
         Camera and ``row_time`` in frame intervals, for rolling shutters; `run` fills it in.
     stereo : matching.MatchSettings
