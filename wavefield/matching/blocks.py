@@ -325,8 +325,9 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
-    """Return a mask (ny, nx), True in holes, where 7 x 7 blocks have at most 0.15 of the typical information.
-    `information` (ny, nx) is the inverse variance of the value of each block."""
+    """Return a mask (ny, nx), True for blocks in holes, which have little information around them.
+    The mean of the inverse variances `information` (ny, nx) over 7 x 7 blocks is at most 0.15 of the
+    typical."""
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )

@@ -84,7 +84,7 @@ def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
 
 @njit
 def _value(s: Array, x: int) -> np.float32:
-    """Return the spline at pixel x of a row s, smoothed along y, that starts two pixels left of the image."""
+    """Return the value, at pixel x, of the spline along a row s that starts two pixels left of the image."""
     out: np.float32 = (
         F(66 / 120) * s[x + 2] + F(26 / 120) * (s[x + 1] + s[x + 3]) + F(1 / 120) * (s[x] + s[x + 4])
     )
@@ -93,7 +93,7 @@ def _value(s: Array, x: int) -> np.float32:
 
 @njit
 def _slope(s: Array, x: int) -> np.float32:
-    """Return the derivative along x of the spline at pixel x of a row s, as in `_value`."""
+    """Return the derivative along x, at pixel x, of the spline along a row s, as in `_value`."""
     out: np.float32 = F(10 / 24) * (s[x + 3] - s[x + 1]) + F(1 / 24) * (s[x + 4] - s[x])
     return out
 
@@ -171,7 +171,7 @@ def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
 
 @inlined
 def _bend(s: Array, x: int) -> np.float32:
-    """Return the second derivative along x of the spline at pixel x of a row s, as in `_value`."""
+    """Return the second derivative along x, at pixel x, of the spline along a row s, as in `_value`."""
     out: np.float32 = F(2 / 6) * (s[x + 1] + s[x + 3]) + F(1 / 6) * (s[x] + s[x + 4]) - s[x + 2]
     return out
 
@@ -435,9 +435,10 @@ def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
 def final_sums(
     first: Array, second: Array, u: Array, v: Array, slopes: Array, work: WorkSpace, out: Array
 ) -> None:
-    """Write sums over each block to out (12, ny, nx): two scores in planes 0 and 1, moments from plane 5 on.
-    Planes 2 to 4 are left to the caller. `_strip_sums` lists the moments. The displacement u, v (ny, nx), px,
-    of the blocks' centres has the gradients `slopes` (4, ny, nx): du/dx, du/dy, dv/dx, dv/dy."""
+    """Write sums over each block of the images `first` and `second`, with borders, to out (12, ny, nx).
+    Planes 0 and 1 are the two scores, those from 5 on the moments of `_strip_sums`; 2 to 4 are left to the
+    caller. The displacement u, v (ny, nx), px, of the blocks' centres has the gradients `slopes` (4, ny, nx):
+    du/dx, du/dy, dv/dx, ..."""
     n = u.shape[1] * BLOCK
     rows, sums = work.rows, work.sums
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
@@ -485,8 +486,8 @@ def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.i
 
 @njit
 def bead_blocks(image: Array, out: Array) -> None:
-    """Write the block to which each pixel belongs to out (h, w): that with the brightest point of its bead.
-    Blocks are counted row by row. The border of `image` must be darker than the image."""
+    """Write to out (h, w), for each pixel, the block that contains the brightest point of its bead.
+    Blocks are numbered row by row. The border of `image` must be darker than the image."""
     h, w = out.shape
     for y in range(h):
         r = y + PAD
@@ -532,7 +533,8 @@ def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> No
 def _scores_of_pixels(
     splines: tuple[Array, ...], slopes: tuple[Array, ...], b: Array, y: np.float32, to: tuple[Array, ...]
 ) -> None:
-    """Write gx r and gy r of each pixel of a row to the two arrays `to` (arguments as in `_residual_row`)."""
+    """Write gradient times residual, gx r and gy r, of each pixel of a row to the two arrays `to`.
+    The other arguments are those of `_residual_row`."""
     s, d = splines
     ux, uy, vx, vy = slopes
     along, down = to

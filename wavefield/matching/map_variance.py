@@ -128,8 +128,8 @@ def _squared_response(gain: Float) -> Float:
 
 def hole_variance(spectrum: Float) -> Float:
     """Return the variance of a field inside a hole without data, at 0, 1, 2, ... blocks from its rim, (n,).
-    Value and slope are known at the rim, so it is C(0) - C(r)^2 / C(0) - C'(r)^2 / |C''(0)|, with the
-    covariance C at the distance r. `spectrum` (ny, nx) is that of the field."""
+    Value and slope are known at the rim, so it is C(0) - C(r)^2 / C(0) - C'(r)^2 / |C''(0)|, with the field's
+    covariance C at the distance r from the rim. `spectrum` (ny, nx) is that of the field."""
     covariance = _impulse(spectrum)
     side = min(spectrum.shape)
     curve = 0.5 * (covariance[0, :side] + covariance[:side, 0])

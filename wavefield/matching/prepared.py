@@ -80,7 +80,7 @@ class Level:
     @cached_property
     def beads(self) -> tuple[np.ndarray, np.ndarray]:
         """Block to which the bead around each pixel belongs, (h, w), and Hessians of such beads, (3, ny, nx).
-        The block is the number, counted row by row, of that with the brightest point of the bead."""
+        This is the block with the brightest point of the bead; blocks are numbered row by row."""
         ny, nx = self.blocks
         h, w = ny * BLOCK, nx * BLOCK
         smooth = cv2.GaussianBlur(self.padded, (0, 0), NOISE_BLUR_PX)

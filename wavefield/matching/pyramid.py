@@ -377,8 +377,8 @@ def _reasons(
     correlation: np.ndarray,
     energy: np.ndarray,
 ) -> np.ndarray:
-    """Return why blocks are not valid: bits of `Reason`, (ny, nx); 0 for valid blocks.
-    `correlation` and `energy` come from `_correlation`; `outlier` is as in `_assess`."""
+    """Return why blocks are not valid at the displacement u, v (ny, nx), px: bits of `Reason`, (ny, nx).
+    `correlation` and `energy` (of gradients) come from `_correlation`; `outlier` is as in `_assess`."""
     settings, shape = pair.settings, pair.b.shape
     inside, weight = np.empty((2, *u.shape), np.float32)
     block_weights(NO_MASK, NO_MASK, u, v, *shape, inside)

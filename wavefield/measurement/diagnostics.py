@@ -235,7 +235,7 @@ def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
 
 
 def _matched(flat: PreparedImages, geometry: GridGeometry) -> dict[Pair, PairMatch]:
-    """Match the pairs of the geometry, and every two of the second cameras of these pairs directly."""
+    """Match each pair of the geometry (reference and another camera), and each two of the other cameras."""
     pairs = [*geometry.pairs, *combinations([b for _, b in geometry.pairs], 2)]
     return {(a, b): match_pair(flat[a], flat[b], (a, b), geometry) for a, b in pairs}
 

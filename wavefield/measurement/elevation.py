@@ -147,7 +147,7 @@ def _noise(score: Float, hessian: Float, freedom: float) -> Float:
 
 def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
     """Return the variance of scores across the sight lines per unit of their Hessian, times NOISE_MARGIN.
-    The calibration's part of the error there, `smooth` (ny, nx) from `_smooth_across`, is subtracted."""
+    `smooth` (ny, nx), the error across them that comes from the calibration, is subtracted first."""
     parts = [one.across(smooth) for one in pairs]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     return np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
@@ -197,7 +197,7 @@ class _PairScores:
         return self._score(self.D, self.hessian, self.here - z)
 
     def across(self, smooth: Float) -> tuple[Float, Float]:
-        """Return scores and Hessians (ny, nx) for displacements across the sight lines, as if due to z, m.
+        """Return scores and Hessians (ny, nx) for displacements across the sight lines, as metres of z.
         No elevation causes such displacements. The part `smooth` (ny, nx), metres, is subtracted."""
         D = quarter_turn(self.D)
         hessian = _through(D, self._hessian)
@@ -348,7 +348,7 @@ def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPair
 
 
 def windowed(matches: Sequence[PairMatch], geometry: GridGeometry) -> Float:
-    """Return z at the nodes, (ny, nx), m, from matches alone, without a spectrum; NaN where not valid."""
+    """Return z at the nodes, (ny, nx), m, from matches alone, without a spectrum; NaN where none is valid."""
     blocks = combine(matches)
     if not blocks.valid.any():
         return np.full(geometry.grid.shape, np.nan, np.float32)

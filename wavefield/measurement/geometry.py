@@ -37,7 +37,8 @@ _ORDER = 4
 
 class Sight:
     """Image positions and Jacobians of the nodes x, y (ny, nx) in one camera, as polynomials in z.
-    `binning` is the side, in raw px, of a pixel of the binned image; `camera` and `lattice` are for that."""
+    `binning` is the side, in raw px, of a pixel of the binned image, which `camera` and `lattice`
+    describe."""
 
     def __init__(
         self, camera: Camera, binning: int, x: Float, y: Float, z_range: tuple[float, float]
@@ -60,7 +61,7 @@ class Sight:
 
     def at(self, z: Float, every: int = 1) -> NDArray[np.float32]:
         """Return X and Y (px of the binned image) and the Jacobian by rows (px/m) of nodes at z: (8, ny, nx).
-        z is in metres. With `every` above 1, it belongs to every such node along x and y only."""
+        z is in metres. With `every` above 1, z and results are for every such node along x and y only."""
         return self._evaluate(z, self._polynomial[..., ::every, ::every])
 
     def position(self, z: Float) -> NDArray[np.float32]:
@@ -105,7 +106,7 @@ class RectifiedPlane:
 
 @dataclass(frozen=True)
 class RectifiedView:
-    """How one camera sees the rectified plane z = 0."""
+    """Maps, masks and blur with which the images of one camera are rectified to the plane z = 0."""
 
     maps: tuple[Float, Float]  # (row, column): position of each rectified pixel in the image (`sight_map`)
     visible: NDArray[np.bool_]  # (row, column): True where the camera sees the plane
@@ -202,7 +203,7 @@ Pixels = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Covered:
-    """Mask of one camera's image, prepared for both kinds of matching."""
+    """Mask of one camera's image, prepared for matching in time and for matching between cameras."""
 
     raw: Mask  # of the binned image, for matching in time
     flat: Mask | None  # of the rectified image; None for a camera that does not measure z
@@ -312,7 +313,7 @@ class GridGeometry:
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """Cameras that measure anything, in the order of the rig."""
+        """Cameras that measure z or velocities, in the order of the rig."""
         return tuple(n for n in self.rig if n in self.surface_cameras or n in self.velocity_cameras)
 
     @property
@@ -370,7 +371,7 @@ class GridGeometry:
         return settings
 
     def pairs_for(self, present: Sequence[str]) -> tuple[Pair, ...]:
-        """Return the pairs whose cameras are both `present`; if there are none, pairs of those present."""
+        """Return the pairs whose cameras are both `present`; if none is, new pairs of present cameras."""
         planned = tuple(p for p in self.pairs if p[0] in present and p[1] in present)
         if planned:
             return planned
@@ -394,7 +395,7 @@ class GridGeometry:
 
 
 def _with_reference_first(pairs: Sequence[Pair]) -> tuple[Pair, ...]:
-    """Return the pairs with their common camera first; ExperimentError without one or if pairs repeat."""
+    """Return the pairs with their common camera first; ExperimentError if there is none or pairs repeat."""
     common = set.intersection(*(set(pair) for pair in pairs))
     if not common or len({frozenset(p) for p in pairs}) < len(pairs):
         text = ", ".join(f"[{a}, {b}]" for a, b in pairs)

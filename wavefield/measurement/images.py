@@ -75,7 +75,7 @@ GREY_LEVELS_PER_E = 5000.0  # grey levels per factor e of brightness: 65535 leve
 
 
 def usable(image: NDArray[Any] | None, size: tuple[int, int]) -> bool:
-    """Return whether a frame is a grey image of `size` (width, height) with contrast, mostly finite."""
+    """Return whether a frame is a grey image of `size` (width, height) with contrast and not mostly NaN."""
     if image is None or np.ndim(image) != 2 or image.shape != (size[1], size[0]):
         return False
     if image.dtype.kind not in "uif":
@@ -113,8 +113,8 @@ def log_compress(
     image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
     """Compress the brightness I of an image to 5000 log(1 + (I - B) / (0.5 (I_99 - B))), and to 0 below B.
-    A factor of brightness then becomes a constant. B is `black`, by default the 1 % quantile, and I_99 the 99
-    % quantile, of pixels that are not `covered`."""
+    A factor on the brightness becomes a constant that is added. B is `black`, by default the 1 % quantile,
+    and I_99 the 99 % quantile, of pixels that are not `covered`."""
     low, _, high = _levels(image, covered)
     low = low if black is None else black
     knee = max(KNEE_TO_CONTRAST * (high - low), 1e-6 * max(abs(low), abs(high), 1e-30))
@@ -169,8 +169,8 @@ Masks = Mapping[str, Pixels | None]
 
 
 def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
-    """Prepare the masks of one instant, by camera; True on pixels to ignore.
-    The result for a mask is kept in `geometry` and returned as long as the mask is the same array."""
+    """Return the masks of one instant, True on pixels to ignore, prepared for matching, by camera.
+    Results are kept in `geometry` and used again while the mask of a camera is the same array."""
     out = {}
     for name in geometry.cameras:
         pixels = masks.get(name)
@@ -278,8 +278,8 @@ class Images:
 def images_of(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks | None = None
 ) -> Images:
-    """Prepare the usable frames of one instant; `beads` are the widths of the beads by camera, raw px.
-    `masks` (h, w), by camera, are True on pixels to ignore."""
+    """Return the frames of one instant that are usable, prepared, with their masks.
+    `beads` are bead widths, raw px, and `masks` (h, w) are True on pixels to ignore, both by camera."""
     masks = masks or {}
     found: dict[str, NDArray[Any]] = {}
     for name in geometry.cameras:

@@ -22,7 +22,7 @@ Surfaces = Sequence[Surface | None]
 
 @dataclass(frozen=True)
 class MidTime:
-    """The surface at mid-time of a step, half-way between its two frames."""
+    """Elevation and rise of the surface at mid-time of a step, half-way between its two frames."""
 
     z: Float  # (ny, nx): elevation, metres
     rise: Float  # (ny, nx): rise per step of the particle that is at the node at mid-time, metres
@@ -169,7 +169,8 @@ def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
 
 
 def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
-    """Return the mean of `lateness` over the cameras, (ny, nx); None for global shutters or a light sheet."""
+    """Return the mean over the cameras of their `lateness`, (ny, nx); None for global shutters or a sheet.
+    Only rolling shutters see the nodes late; in a light sheet, z is not measured."""
     if not geometry.settings.row_delays or geometry.settings.sheet_thickness is not None:
         return None
     return np.asarray(np.mean(list(lateness(z, geometry).values()), axis=0))

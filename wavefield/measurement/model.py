@@ -133,7 +133,8 @@ class FieldModel:
 
 def elevation_model(geometry: GridGeometry, prior: Prior, beads: Mapping[str, float]) -> FieldModel:
     """Make the estimator of z, metres, on the blocks of the rectified images.
-    `beads` are bead widths by camera; if all have beads (width above 0), whole beads are used."""
+    `beads` are bead widths by camera; if none is 0 (a texture), scores come from whole beads
+    (`scores_at`)."""
     return FieldModel(prior, geometry.lattice.shape, _inner_blocks(geometry), all(beads.values()))
 
 
@@ -323,6 +324,6 @@ def _gain_of_velocity(
 
 
 def _gain_between_blocks(prior: Prior, qx: Float, qy: Float) -> Float:
-    """Return the gain (component, ...) of a MAP field, interpolated to nodes, at qx, qy, rad per block."""
+    """Return the gain (component, ...) of a MAP field read between blocks, at qx, qy, rad per block."""
     gain: Float = prior.gain(qx, qy)
     return gain * interpolation_gain(qx) * interpolation_gain(qy)

@@ -103,7 +103,8 @@ _LOOSE = {"contract", "reassoc"}
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, int]:
-    """Return both spline coefficients c (flat) at the block nearest to x, y, in blocks, and its index."""
+    """Return the two spline coefficients in c (flat) of the block nearest to x, y, and the block's number.
+    x, y are in blocks on a lattice of nx, ny. The outermost blocks are not used."""
     i = np.int64(min(F(nx) - F(2), max(F(1), x + F(0.5))))  # max(1, NaN) is 1
     j = np.int64(min(F(ny) - F(2), max(F(1), y + F(0.5))))
     n: Any = j * nx + i

@@ -211,7 +211,8 @@ class _SampleStep:
         masks: tuple[Masks, Masks],
     ) -> _SampleStep:
         """Prepare the images of the two frames of a step and match them, between cameras and in time.
-        `beads` are bead widths by camera, raw px; `masks`, by camera, are True on pixels to ignore."""
+        `frames` and `masks` (True on pixels to ignore) are by camera, `beads` bead widths by camera, raw
+        px."""
         one, two = (images_of(part, geometry, beads, mask) for part, mask in zip(frames, masks))
         flat, (first, second) = (one.rectified(), two.rectified()), (one.in_time(), two.in_time())
         found = {

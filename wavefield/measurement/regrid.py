@@ -83,7 +83,8 @@ def interpolation_gain(q: Float) -> Float:
 
 
 def local_coefficients(fields: Float) -> Float:
-    """Return cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), to 1e-3, by a 15-block filter."""
+    """Return the cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), accurate to 1e-3.
+    They come from a filter of 15 blocks."""
     pole = np.sqrt(3.0) - 2.0
     kernel = np.sqrt(3.0) * pole ** np.abs(np.arange(-7.0, 8.0))
     reflected = {"kernelX": kernel, "kernelY": kernel, "borderType": cv2.BORDER_REFLECT}

@@ -52,7 +52,7 @@ class FirstGuess:
 
 def first_guess(read: Read, cameras: Sequence[str], steps: Sequence[int]) -> FirstGuess:
     """Find the range of displacements in some steps, by a search for large patches in the next frame.
-    Only those that agree with another patch count. `read(camera, frame)` gives an image or None."""
+    Displacements count if another patch confirms them. `read(camera, frame)` gives an image or None."""
     kept: list[NDArray[np.float64]] = [np.zeros((0, 2))]
     tried = 0
     for step in steps:
@@ -130,7 +130,7 @@ def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> 
 
 
 def _reach(pair: tuple[str, str], geometry: GridGeometry) -> tuple[int, int]:
-    """Return the largest parallax along x and y, rectified px, of the elevations that are searched here."""
+    """Return the largest parallax along x and y, rectified px, of the elevations of a coarse search."""
     x, y = np.meshgrid(geometry.lattice.x[[0, -1]], geometry.lattice.y[[0, -1]])
     one, other = (np.array(geometry.rig[name].sight_line(x, y)) for name in pair)
     height = SEARCH_FACTOR * max(abs(z) for z in geometry.z_range) / geometry.pixel

@@ -228,7 +228,7 @@ def mean_flow(
     path_frames: int,
     times: Float,
 ) -> tuple[float, float] | None:
-    """Return the median displacement (dx, dy) of the water over a step, metres, from some of the nodes.
+    """Return the median, over some of the nodes, of the displacement (dx, dy) of the water per step, metres.
     It is 0 if no node was measured, and None if fewer than two cameras have displacements."""
     names = _cameras(steps)
     if len(names) < 2:
