@@ -164,7 +164,7 @@ def _strain_products(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float, float, float, float]:
     """Return the sums over usable blocks of a.a, a.b, b.b, r.a, r.b, for a least-squares fit r = c a + s^2 b.
-    a and b are the two terms of `_strains`, r the scores `sums` (2, ny, nx); `count` is 1 if usable."""
+    a and b are the terms of `_strains`, r the scores `sums` (2, ny, nx); `count` (ny, nx) is 1 if usable."""
     aa = ab = bb = ra = rb = 0.0
     for j in range(count.shape[0]):
         for i in range(count.shape[1]):

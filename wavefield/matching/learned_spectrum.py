@@ -204,7 +204,8 @@ def _extrapolated(
     upper_limit: Float | float = np.inf,
 ) -> tuple[float, ...]:
     """Replace a spectrum (rings,) from ring number `last` on by a power law through the rings before it.
-    The law stays below `upper_limit`, the whole spectrum above 0.01 `noise`; k are the rings' wavenumbers."""
+    The law stays below `upper_limit`; rings before get at least 0.01 `noise`. k are the rings'
+    wavenumbers."""
     out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
     first = max(last - SLOPE_RINGS, 1)
     slope = SLOPE_RANGE[1]

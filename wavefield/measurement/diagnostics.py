@@ -207,7 +207,7 @@ def _learned(
     frames: Frames, geometry: GridGeometry, model: Model | None, masks: Frames
 ) -> tuple[GridGeometry, Model, Images, Images]:
     """Return the geometry, the model, and the prepared images of the first and of the second frame.
-    A `model` of None is learned from these frames. ValueError without usable frames, or if that fails."""
+    If `model` is None, it is learned from these frames. ValueError if that fails or a frame is not usable."""
     instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
     covered = [{n: masks[n][k] for n in masks} for k in (0, 1)]
     if model is None:

@@ -27,12 +27,12 @@ class BlockLattice:
 
     @property
     def x(self) -> NDArray[Any]:
-        """Block centres along x, (nx,)."""
+        """Block centres along x, (nx,), in the unit of x0."""
         return self.x0 + self.step * np.arange(self.shape[1])
 
     @property
     def y(self) -> NDArray[Any]:
-        """Block centres along y, (ny,)."""
+        """Block centres along y, (ny,), in the unit of y0."""
         return self.y0 + self.step * np.arange(self.shape[0])
 
 
