@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wavefield.atomic_write import write_error, writing
-from wavefield.errors import ExperimentError, RunStopped, StoreError
+from wavefield.errors import CubeError, ExperimentError, RunStopped, StoreError
 from wavefield.execution.cluster import MapUnordered, open_cluster
 from wavefield.execution.process import stop_signals, stopped_by
 from wavefield.execution.run_log import jobs_folder, log_file
@@ -27,8 +27,10 @@ _WORKER_IMPORTS = ("wavefield.pipeline.analysis", "wavefield.waves.analysis")
 def _open(cube: "str | Path | xr.Dataset") -> "xr.Dataset":
     import xarray as xr
 
-    if not isinstance(cube, str | Path):
+    if isinstance(cube, xr.Dataset):
         return cube
+    if not isinstance(cube, str | Path):
+        raise CubeError(f"analyze needs a cube or the path of one, not a {type(cube).__name__}")
     from wavefield.store.cube import open_stored
     from wavefield.store.read import find_store, is_cube
 
