@@ -33,8 +33,8 @@ class CommandSource:
         return False
 
     def cubes(self) -> list[tuple[str, Path]]:
-        """Return the name of each chosen run of a catalog, and the path of its cube, which need not exist.
-        A run has a cube for each set of inputs (recipe): the latest, or that of `parameters["recipe"]`."""
+        """Return (name, path of the latest cube) for each chosen run of a catalog; cubes need not exist.
+        `parameters["recipe"]`, from the hash of a recipe, selects the cube made with that recipe instead."""
         from wavefield.pipeline.catalog import cube_of, runs_of
 
         return [

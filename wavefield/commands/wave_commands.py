@@ -89,8 +89,8 @@ Examples:
 def report(context: click.Context, source: campaign_commands.CommandSource, output: Path | None) -> None:
     """Write the report of a cube: one HTML file that opens offline.
 
-    For a catalog, it writes the report of every run, and a page that compares the runs: next to the catalog,
-    or as -o.
+    For a catalog, it writes the report of every chosen run, and a page that compares these runs: next to the
+    catalog, or as -o.
     """
     from wavefield.reports.compose import report as write
 

@@ -1,7 +1,7 @@
 """Map work over chunks: in this process, or on Dask workers of this machine, in Slurm jobs, or elsewhere.
 
 A chunk is a range of steps of the record that one task measures. `open_cluster` gives the same map function
-for all of these. The scheduler that a run starts accepts connections from that run only: it uses TLS with
+in all these places. The scheduler that a run starts accepts connections from that run only: it uses TLS with
 credentials made for each run, and serves no dashboard.
 """
 

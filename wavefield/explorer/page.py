@@ -197,7 +197,7 @@ class LookPage:
             self._soon(self._show_view if list(changed) == ["tab"] else self.redraw)
 
     def entered(self, name: str) -> str | int:
-        """Return the value of the widget `name`: the chosen option, or the step, limited to valid ones."""
+        """Return the value of the widget `name`: the chosen option, or the step, limited to the record."""
         widget = self.controls[name]
         if isinstance(widget, Select):
             return parts.chosen(widget)
@@ -230,8 +230,8 @@ class LookPage:
             self.picked.active = PICKED.index("mask")
 
     def _take_corner(self, image: str, x: float, y: float) -> bool:
-        """Add a corner x, y to the mask of `image`, a camera (px) or `WATER` (m), if the user draws masks.
-        Return whether it was added."""
+        """Add a corner x, y to a mask if the user draws masks; return whether it was added.
+        `image` names the mask: a camera (x and y in px) or `WATER` (x and y in m)."""
         if self.entered("drag") != "mask":
             return False
         self._open_masks()

@@ -232,7 +232,8 @@ def alert(error: Exception) -> str:
 
 
 def chosen(choice: Select) -> str:
-    """Return the option that the user chose in a menu; its first if the browser sent another value, or ""."""
+    """Return the option that the user chose in a menu. If the browser sent a value that is not in the menu,
+    return the first option, or "" if the menu has none."""
     values = [option if isinstance(option, str) else str(option[0]) for option in choice.options]
     return str(choice.value) if choice.value in values else next(iter(values), "")
 

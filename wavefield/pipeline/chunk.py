@@ -69,8 +69,8 @@ class Measured:
 def make_chunk(
     sources: Mapping[str, Source], start: int, stop: int, departures: np.ndarray | None = None
 ) -> Chunk:
-    """Return the chunk of the steps start to stop - 1 of a record; ``sources`` holds its frames by camera.
-    ``departures`` (frames,) are delays of all its frames relative to even times, in frame intervals."""
+    """Return the chunk of the steps start to stop - 1 of a record, whose frames ``sources`` holds by camera.
+    ``departures`` (n,) are delays of all frames of the record relative to even times, in frame intervals."""
     first = max(start - AROUND - 1, 0)
     windows = {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}
     if departures is not None:

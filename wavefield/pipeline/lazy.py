@@ -239,8 +239,8 @@ def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array
 def _gain(
     once: Mapping[str, Delayed], geometry: "GridGeometry"
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return tables of the response to waves by name, each (dimensions, lazy array), and their coordinates.
-    ``once`` holds the values of these tables, which are computed later."""
+    """Return the gains for waves by name, each (dimensions, lazy array), and their coordinates as arrays.
+    ``once`` holds each gain by name, computed later (`Delayed`)."""
     from wavefield.measurement.model import tabulated
 
     table = tabulated(geometry, None)

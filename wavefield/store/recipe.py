@@ -99,7 +99,7 @@ def _leaves(data: object, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 def source_of(cube: Any) -> str:
     """Return the identity of a cube (Dataset or open group): a hash of its recipe and of its images.
-    For a Dataset that no run wrote it is a hash of the axes and of the experiment's name."""
+    For a Dataset without a stored recipe, it is a hash of the axes and of the experiment's name."""
     if "recipe_hash" in cube.attrs:
         return identity_of(cube.attrs["recipe_hash"], cube.attrs.get("fingerprints"))
     axes = {name: cube[name].values.tolist() for name in ("time", "y", "x") if name in cube.coords}

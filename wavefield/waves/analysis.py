@@ -145,7 +145,7 @@ def analyze(
     gain: str | Path | xr.Dataset | Literal[False] | None = None,
     current: tuple[float, float] | None = None,
 ) -> xr.DataTree:
-    """Compute all wave products of a cube, as `wavefield.analyze` does, without reading or writing stores.
+    """Compute all wave products of an open cube, as `wavefield.analyze` does, but write no store.
 
     Parameters
     ----------
@@ -162,8 +162,8 @@ def analyze(
     depth : float, optional
         Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep water.
     gain : path, Dataset or False, optional
-        Amplitude gains of the measurement, ``gain_z`` and ``gain_w`` (direction, k), for which spectra are
-        corrected where they exceed 0.5; by default those in the cube. False: no correction.
+        Amplitude gains ``gain_z``, ``gain_w`` (direction, k), or the path of a store with them; by default
+        those in the cube. Spectra are corrected where the gain exceeds 0.5. False: no correction.
     current : tuple of float, optional
         Velocity of the water along x and y, m/s, if no fit to the dispersion relation succeeds; default 0.
 

@@ -50,7 +50,7 @@ def bicoherence_of(z: np.ndarray) -> np.ndarray:
 
 
 def correlations_of(z: np.ndarray) -> np.ndarray:
-    """Return the squared correlation of the coefficients at two lines, (n, n), from `z` (n, samples)."""
+    """Return the squared correlation of the coefficients of each pair of lines, (n, n), from `z`."""
     gram = np.abs(z @ z.conj().T) ** 2
     power = np.maximum(gram.diagonal(), 1e-300)
     return np.asarray(gram / np.sqrt(power[:, None] * power))
@@ -120,9 +120,9 @@ def _level_of_largest(surrogates: list[np.ndarray]) -> np.ndarray:
 
 def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
     """Return bicoherence and tricoherence of `series` (time, points) over (omega1, omega2), rad/s.
-    ``..._level`` are the values that surrogates with random phases, but the same correlation between points,
-    exceed in 5 % of cases. `dt` is the time step, s; `segment` is shortened if it has more than 48 lines
-    below 5 Hz. Raises CubeError for a single segment, in which all phases appear coupled."""
+    ``..._level`` is exceeded by chance in 5 % of cases, according to surrogates with random phases. `dt` is
+    the time step, s; `segment`, in steps, is shortened if it has more than 48 frequencies below 5 Hz. Raises
+    CubeError if only one segment fits, in which all phases appear coupled."""
     count = min(segment // 2 + 1, int(HIGHEST_HZ * segment * dt) + 1)
     if count > LINES:
         segment = max(int(segment * LINES / count) // 2 * 2, 16)

@@ -176,9 +176,10 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
         (quantity, bin) is the density of (value - ``mean``) / ``pdf_std``, and ``gaussian`` (bin) the
         standard normal density. Over ``quantity``: ``mean``, ``std`` (m), ``skewness``, ``kurtosis``
         (excess), ``count`` and ``n_outliers``, the number of values beyond six standard deviations.
-        ``significant_height`` (m, four standard deviations of z), ``mean_square_slope``, ``slope_rms`` and
-        ``peak_frequency`` (Hz), each with its standard uncertainty ``_std``. The uncertainties are NaN in a
-        record shorter than a segment, and the peak in one shorter than ten peak periods.
+        ``std`` is about the mean of each node, ``pdf_std`` about that of all values. ``significant_height``
+        (m) is four standard deviations of z. It, ``mean_square_slope``, ``slope_rms`` and ``peak_frequency``
+        (Hz) have standard uncertainties ``_std``. These are NaN if the longest run of steps has fewer than
+        8, and the peak is NaN in a record shorter than ten peak periods.
 
     Raises
     ------
@@ -187,8 +188,8 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    Slopes are central differences of sixth order, whose gain is 0.99 for waves of six nodes and 0.74 for
-    three.
+    Slopes are central differences of sixth order, whose gain is 0.99 for wavelengths of six node spacings
+    and 0.74 for three.
 
     Examples
     --------

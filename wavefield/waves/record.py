@@ -25,8 +25,8 @@ ROUNDS = 3  # alternations between the prior spectrum and the filled values; a f
 
 
 def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
-    """Return a block (steps, ny, nx) with the most probable values at NaN and in all `missing` steps.
-    A few gaps are each filled from their surroundings, many of them from all steps near them at once."""
+    """Return a block (steps, ny, nx) with the most probable values at NaN and at steps in the mask `missing`.
+    Few gaps are filled one by one, each from values around it; many in one fit, from first to last gap."""
     if not missing.any() and all_finite(block):
         return block
     hole = ~np.isfinite(block) | missing[:, None, None]

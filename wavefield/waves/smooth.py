@@ -36,8 +36,8 @@ ROUNDS = 8  # rounds of learning; in the last, spectra change by a few per cent
 
 class PlaneWaves:
     """Linear model of z, u, v and the rate of rise: free waves on a current, plus a constant per field.
-    An array of unknowns holds the real, then the imaginary parts of n amplitudes and constants. The wave
-    vectors lie on rings of |k|, closer than the resolution, so that the fields need not be periodic."""
+    Its n complex unknowns are wave amplitudes and four constants; an array (2 n,) of them holds all real,
+    then all imaginary parts. Rings of |k| are closer than the resolution, so fields need not be periodic."""
 
     def __init__(
         self, shape: tuple[int, int], step: float, times: Array, current: Array, depth: float, gamma: float

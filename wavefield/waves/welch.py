@@ -140,7 +140,8 @@ class Reader:
         self.first = first  # step of the record at which the arrays begin
 
     def __call__(self, a: int, b: int, run: tuple[int, int]) -> list[np.ndarray]:
-        """Read the steps a to b (excluded) of a run: a block (b - a, ny, nx) per field, with gaps filled."""
+        """Return the steps a to b - 1 of the cube: one block (b - a, ny, nx) per field, with gaps filled.
+        `run` (first, past the last) is the run that contains them; only its steps are used to fill gaps."""
         (steps, *nodes), missing, inner = _span(self.record, a, b, run)
         steps = slice(steps.start - self.first, steps.stop - self.first)
         blocks: list[np.ndarray] = []
@@ -450,8 +451,8 @@ def with_stated(given: Any) -> Any:
 
 
 def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
-    """Return `path_frames`: 1 for instantaneous velocities, 2 for displacements, else 4, 6 or 7 for paths.
-    It is 2 if the fields do not give it. Raises CubeError if two fields give different meanings."""
+    """Return the code `path_frames` of velocities: 1 instantaneous, 2 (the default) displacements between two
+    frames; 4, 6 or 7 paths of 4 or 6 frames. CubeError if attributes ``velocity`` differ or are unknown."""
     fields = with_stated(fields)
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])

@@ -113,7 +113,8 @@ def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
 
 class ZarrImages:
     """The images in a Zarr array (image, row, column); `path` is a path or a URL.
-    If there is a group, its array ``image`` is used. FrameError if there is no such array."""
+    If `path` is that of a group, its array ``image`` is used. FrameError if there is no array, or if it does
+    not have three dimensions."""
 
     def __init__(self, path: str) -> None:
         import zarr  # takes long, for the few who have such images
