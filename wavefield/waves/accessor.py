@@ -21,15 +21,15 @@ class WavesAccessor:
     Raises
     ------
     KeyError
-        If the named field is not in the cube. Other errors are those of the functions.
+        If the named field is not in the cube. Each method also raises the errors of its function.
 
     Notes
     -----
-    Each method returns the result of the function of `wavefield.waves` with the same name. `fit_dispersion`,
-    `directions`, `kinematics`, `coherence`, `statistics`, `crest_statistics`, `phase_average` and `analyze`
-    pass the cube to it, and all their arguments. `spectrum` and `komega` (of "w" by default) and
-    `structure_functions` (of "z" by default) pass one field, whose name is their first argument; all other
-    arguments are keywords.
+    Each method calls the function of `wavefield.waves` with the same name. `fit_dispersion`, `directions`,
+    `kinematics`, `coherence`, `statistics`, `crest_statistics`, `phase_average` and `analyze` pass the cube
+    to the function, and then all arguments of the method. `spectrum`, `komega` and `structure_functions` pass
+    one field of the cube: its name is their first argument, by default "w" for the first two and "z" for the
+    third. All other arguments are keywords.
 
     Examples
     --------

@@ -107,7 +107,8 @@ def with_mean_current(cube: xr.Dataset, welch: Welch) -> Welch:
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
     """Return the `cross_spectra` `ring` with E corrected for the gain of the measurement, and ``valid_k``.
-    This mask (quantity, k) is true where the gain is known and high; rise and nl are not corrected."""
+    This mask (quantity, k) is true where the gain is known and above one half. It is false for rise and nl,
+    which are not corrected."""
     names = ring["quantity"].values
     factor, valid = np.ones((names.size, ring.sizes["k"])), np.zeros((names.size, ring.sizes["k"]), bool)
     for i, name in enumerate(names):

@@ -80,8 +80,8 @@ def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
 
 def sector_freedom(levels: Array, covariances: Array) -> Array:
     """Return the degrees of freedom of each sector's fraction of the total energy, (sectors,).
-    `levels` (sectors,) are the energies of the sectors, and `covariances` (sectors, sectors) their
-    covariances."""
+    `levels` (sectors,) and `covariances` (sectors, sectors) are the sectors' energies and the covariances of
+    these energies."""
     total = max(levels.sum(), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
@@ -149,7 +149,7 @@ class _RingSectors:
         self.place = (sector * self.cells + cell).ravel()[by_radius]  # in (sectors, cells)
 
     def shares(self, centre: float, half: float) -> tuple[Array, Array]:
-        """Return the fraction of each cell in each sector of a ring, (sectors, cells), and a coverage.
+        """Return the fraction of each cell inside each sector of a ring, (sectors, cells), and a coverage.
         The coverage (sectors,) is the fraction of each sector that the k plane samples. The ring extends from
         `centre` - `half` to `centre` + `half`, rad/m."""
         first = np.searchsorted(self.radius, centre - half, "right")

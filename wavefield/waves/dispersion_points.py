@@ -95,7 +95,7 @@ VOTING_SECTORS = 2 * SECTORS  # finer, because single cells vote
 
 
 def scan_current(spectrum: PlaneSpectrum) -> Array:
-    """Return the current (2,), to 0.02 m/s, whose dispersion relation contains the most energy.
+    """Return the current (2,) whose dispersion relation contains the most energy, in steps of 0.02 m/s.
     In this Hough transform, each cell votes for the component (omega -+ sigma) / k of the current along k,
     with the frequency sigma(k) of free waves in still water."""
     used = spectrum.k > MIN_CELLS_FROM_ZERO * spectrum.cell
@@ -142,7 +142,7 @@ def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
 
 
 def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
-    """Return the mean energy near the relation over that of the same cells of k at other frequencies.
+    """Return the ratio of the mean energy near the relation to that of the same cells at other frequencies.
     White noise gives about 1. `lines` is a mask of the frequencies that are used."""
     near = _near_relation(spectrum, current)[lines]
     near[:, spectrum.k < MIN_CELLS_FROM_ZERO * spectrum.cell] = False

@@ -37,7 +37,7 @@ def path_factor(omega: Any, dt: float, frames: int) -> Any:
 
 
 def noise_of_displacement(omega: Any, dt: float, frames: int) -> Any:
-    """Return the noise spectrum of a displacement w dt over that of the elevation integrated from it."""
+    """Return the ratio of the noise spectrum of w dt to that of the elevation integrated from w."""
     return (omega * dt if frames == INSTANTANEOUS else 2 * np.sin(omega * dt / 2)) ** 2
 
 
@@ -103,8 +103,8 @@ def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np
 
 
 def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
-    """Return `gain` with ``weight`` (direction, k), the fractions of the wave energy in a ring of |k|.
-    They are from the spectrum `plane_w` of w over (ky, kx). Gains of oblique cameras depend on direction."""
+    """Return `gain` with ``weight`` (direction, k), the fraction of the energy at k in each direction.
+    It is from the spectrum `plane_w` of w over (ky, kx). Gains of oblique cameras depend on direction."""
     ky, kx = np.meshgrid(plane_w["ky"].values, plane_w["kx"].values, indexing="ij")
     sectors, step = gain.sizes["direction"], float(gain["k"][1] - gain["k"][0])
     cell = min(float(np.diff(plane_w[name][:2])[0]) for name in ("ky", "kx"))

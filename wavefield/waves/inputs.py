@@ -85,7 +85,7 @@ def keep_water(out: xr.Dataset, given: xr.DataArray) -> xr.Dataset:
 
 
 def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
-    """Return `given`, a DataArray, and its water parameters; or raise CubeError for estimator `name`."""
+    """Return `given`, if it is a field, and its water parameters; else CubeError for the estimator `name`."""
     if not isinstance(given, xr.DataArray):
         raise CubeError(
             f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"
@@ -94,7 +94,7 @@ def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
 
 
 def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return `given`, a cube, and no parameters; else raise CubeError for the estimator `name`."""
+    """Return `given`, if it is a cube, and an empty dict; otherwise raise CubeError, as `a_field` does."""
     if isinstance(given, str | Path):
         raise CubeError(f"{name} needs a cube, not its path; use wavefield.open_cube({str(given)!r})")
     if not is_cube(given):

@@ -26,8 +26,8 @@ _TILE = 8  # steps transposed at once: a cache line of 64 bytes
 
 @_loose
 def join(first: Array, second: Array, window: Array, out: Array) -> None:
-    """Join the halves (n / 2, 2 cells) of a segment, less mean and trend and times ``window`` (n,).
-    ``out`` is (cells, 2 n). In all arrays, real and imaginary parts alternate."""
+    """Write a segment without its mean and trend, times ``window`` (n,), into ``out`` (cells, 2 n).
+    ``first`` and ``second`` are its halves (n / 2, 2 cells). Real and imaginary parts alternate."""
     half, columns = first.shape
     n = 2 * half
     middle = (n - 1) / 2
@@ -170,7 +170,8 @@ def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) 
 
 @_fast
 def _along(z: Array, factor: float, out: Array) -> None:
-    """Write the derivative of a line into ``out``: central differences of sixth order, lower at the ends."""
+    """Write the derivative of z (n,) into ``out`` (n,); ``factor`` is 1 over the node spacing.
+    It is a central difference of sixth order, of lower order within three nodes of the ends."""
     n = z.size
     if n > 6:
         a, b, c, d, e, f = z[4:], z[2:], z[5:], z[1:], z[6:], z
@@ -231,9 +232,9 @@ def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
 
 @_loose
 def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: Array, counts: Array) -> None:
-    """Add the powers 1 to 4 of values (steps, nodes) minus ``mean`` to ``sums`` (4, nodes).
-    ``counts`` is a histogram of ``per_unit`` bins per unit of the values; its second bin begins at
-    ``low``."""
+    """Add the powers 1 to 4 of values (steps, nodes) minus ``mean`` to ``sums`` (4, nodes), and count values.
+    The histogram ``counts`` has ``per_unit`` bins per unit of the values, from ``low`` on; its first and last
+    bin hold all smaller and all larger values."""
     last = counts.size - 1
     for r in range(values.shape[0]):
         for i in range(values.shape[1]):

@@ -32,7 +32,7 @@ _INTEGRALS = {"significant_height": (0, 0.5), "mean_square_slope": (2, 1.0), "sl
 
 def with_stds(out: xr.Dataset, energy: xr.DataArray, dof: Array, welch: Welch) -> xr.Dataset:
     """Return `out` with standard uncertainties ``_std`` of significant height and slopes; NaN if unknown.
-    `energy` is E(omega, k) of z, and `dof` (omega,) are those of the mean of the spectra of all nodes."""
+    `energy` is E(omega, k) of z; `dof` (omega,) are the degrees of freedom of E(omega) over all nodes."""
     energy = energy.fillna(0.0)
     dof = np.maximum(dof * (welch.record.steps_in_runs() * welch.record.dt / welch.duration), 1)[:, None]
     overlap = hann_correlation(len(dof))
@@ -49,8 +49,8 @@ def with_stds(out: xr.Dataset, energy: xr.DataArray, dof: Array, welch: Welch) -
 
 def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Array) -> tuple[float, float]:
     """Return the frequency of the spectral peak and its standard uncertainty, rad/s.
-    The peak is that of a parabola through the logarithm of the highest `valid` line and its neighbours, the
-    uncertainty its scatter in random spectra with the degrees of freedom `dof`. All arrays are (omega,)."""
+    A parabola through the logarithm of the highest `valid` line and its neighbours gives the peak. Its
+    uncertainty is the scatter in random spectra with `dof` degrees of freedom. All arrays are (omega,)."""
     measured = np.log(np.maximum(np.nan_to_num(energy), 1e-9 * np.nanmax(energy[valid])))
     white = np.random.default_rng(0).standard_normal((BOOTSTRAP_DRAWS, energy.size + 2))
     # filtered noise with the correlations of the powers of a Hann window's lines, 4/9 and 1/36
@@ -87,9 +87,9 @@ def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict
 
 
 def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -> dict[str, Array]:
-    """Return sums over the steps of fields (steps, ny, nx), by name.
-    For each field ``powers <field>`` (4, nodes) and a histogram ``counts <field>``; ``steps``; and
-    ``slopes``, the sum of the squared slopes of z and the number of values in it."""
+    """Return sums over the steps of fields (steps, ny, nx), by name, for `label`.
+    "powers <field>" (4, nodes) are sums of (value - rough mean)^p for p = 1 to 4, and "counts <field>" is a
+    histogram; "steps" is their number; "slopes" is the sum of squared slopes of z and their number."""
     out: dict[str, Array] = {}
     for name, values in fields.items():
         mean, std = scales[name]
@@ -124,7 +124,8 @@ def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
 
 
 def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, float]) -> Array:
-    """Return the density (bins,) of (value - mean) / pdf_std, from `counts` in bins of a rough `scale`."""
+    """Return the density (bins,) of (value - mean) / pdf_std, with mean and pdf_std from `moments`.
+    `counts` (bins,) is the histogram of (value - rough mean) / rough std, and `scale` holds these two."""
     edges = np.linspace(-REACH, REACH, BINS + 1)
     if not moments["pdf_std"] > 0:
         return np.full(BINS, np.nan)
@@ -134,7 +135,8 @@ def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, floa
 
 
 def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
-    """Return the statistics from the sums of `sums_of`; `dt`, s, turns velocities into displacements."""
+    """Return the result of `statistics` without peak and uncertainties, from the sums of `sums_of`.
+    `dt`, s, turns velocities into displacements."""
     fields = {name: field for name, field in QUANTITIES.items() if f"powers {field}" in sums}
     rows: dict[str, list[Any]] = defaultdict(list)
     for name, field in fields.items():
@@ -229,7 +231,8 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
-    """Return `statistics` with peak frequency (Hz), peak wavenumber (rad/m), steepness and their ``_std``."""
+    """Return `statistics` with peak frequency (Hz), peak wavenumber (rad/m), steepness and their ``_std``.
+    The peak is that of the elevation spectrum from z in `fused`, a result of `fused_spectra`."""
     stereo = fused.sel(source="stereo")  # integrated w has no lowest lines, in which the peak may be
     lines = inner(fused.sizes["omega"])
     peak, std = peak_and_std(stereo["Ez"].values, lines, stereo["dof_Ez"].values, fused["omega"].values)

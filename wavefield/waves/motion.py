@@ -151,7 +151,8 @@ def balance(
 
 
 def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
-    """Return the part of the group `kinematics` with the rms of terms at some steps, from `balance`."""
+    """Return the part of the group `kinematics` with the rms of terms at some steps.
+    `rows` holds the result of `balance` and the index ``step`` of each of these steps."""
     time = cube["time"].values.astype(float)
     steps = np.array([row["step"] for row in rows], int)
     names = [name for name in rows[0] if name != "step"] if rows else []
@@ -178,7 +179,8 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Return the ratio sqrt(E_nl / E_w) over k and over omega, with its 95 % interval, for `kinematics`."""
+    """Return the part of the group `kinematics` with sqrt(E_nl / E_w) over k and over omega.
+    E_nl is the spectrum of the nonlinear term, and E_w that of w. The 95 % interval is included."""
     out: dict[str, Any] = {}
     w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))
     for axis in ("k", "omega"):

@@ -98,8 +98,8 @@ def phase_weights(angle: Array, phases: int) -> Array:
 
 
 def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict[str, Array]:
-    """Return sums over steps at every node: of each field times `weights` or `design`, and of its square.
-    The keys are "mean <field>", "fit <field>" and "square <field>"."""
+    """Return sums over steps of fields times `weights` (steps, phases) or `design` (steps, n), and squared.
+    The keys are "mean <field>" (phases, ny, nx), "fit <field>" (n, ny, nx) and "square <field>" (ny, nx)."""
     sums: dict[str, Array] = {}
     first = 0
     for run in read.record.runs:

@@ -185,7 +185,8 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
 
 
 def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[NDArray[np.bool_], float]:
-    """Return a mask of the probe samples within `span`, s, and their rate, Hz; CubeError if they are few."""
+    """Return a mask of the probe samples within `span`, s, and their rate, Hz.
+    CubeError if they cover less than a segment, which lasts `duration`, s, or if their steps are unequal."""
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(

@@ -91,7 +91,7 @@ def compute_ready(
     waiting: list[WaveProduct], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
 ) -> dict[str, Sequence[str]]:
     """Compute all products in `waiting` whose inputs are or become known; return their notes by name.
-    It moves their values to `values`. `each(work, items)` computes costly products on workers."""
+    They leave `waiting`, and their values enter `values`. `each(work, items)` runs costly ones on workers."""
     notes: dict[str, Sequence[str]] = {}
     while ready := [product for product in waiting if all(name in values for name in product.inputs)]:
         # quick products first, so that as many as possible of the others can run in parallel

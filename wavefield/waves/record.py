@@ -87,7 +87,8 @@ def _with(known: Array, hole: NDArray[np.bool_], values: Array) -> Array:
 
 
 def _conditional_mean(gain: Array, known: Array, hole: NDArray[np.bool_], x: Array) -> Array:
-    """Solve x_m = G_mm x_m + G_mo x_o for x_m, by conjugate gradients that start from x."""
+    """Solve x_m = G_mm x_m + G_mo x_o for x_m, (n,), by conjugate gradients that start from `x`.
+    `gain` is that of G for each line of the cosine transform; `known` is x_o, with 0 in the `hole`."""
     from scipy.sparse.linalg import LinearOperator, cg  # slow to import; few records need it
 
     def predicted(whole: Array) -> Array:
@@ -230,7 +231,7 @@ def all_finite(block: np.ndarray) -> bool:
 
 def outside_holes(finite: np.ndarray) -> np.ndarray:
     """Return a mask (steps, ny, nx) that is True outside holes, from the mask `finite` of measured nodes.
-    Squares of missing nodes, `HOLE_SIDE` a side, cover a hole; nodes beyond an edge count as missing."""
+    A hole consists of squares of `HOLE_SIDE` x `HOLE_SIDE` missing nodes; nodes beyond an edge count, too."""
     side = np.ones((1, HOLE_SIDE, HOLE_SIDE), bool)
     holes = np.zeros_like(finite)
     for axis in (1, 2):  # one axis at a time, or a single missing node in a corner would be a hole
@@ -350,7 +351,8 @@ def _rectangle(
     valid_nodes: _ValidNodes, valid_steps: np.ndarray, open_water: np.ndarray
 ) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return the largest rectangle of nodes that can be used, as ranges (first, past the last) of y and x.
-    Its nodes are in `open_water`, measured at half of the valid steps, and outside holes at nine tenths."""
+    Its nodes are in `open_water`, and at least half of the valid steps measure them. Nine tenths of these
+    steps have them outside holes."""
     times = np.zeros((2, *valid_nodes.shape), int)  # number of steps measured, and outside of holes
     for steps, there in valid_nodes:
         valid = valid_steps[steps]
@@ -387,7 +389,8 @@ def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
 
 
 def filled_error(record: Record, field: xr.DataArray) -> float:
-    """Return the standard deviation of the error at interpolated nodes; 0 without them, NaN if unknown."""
+    """Return the standard deviation of the error of `field` at interpolated nodes.
+    It is 0 if there are no such nodes, and NaN if it cannot be estimated."""
     if not record.holes:
         return 0.0
     inside = [t for a, b in record.runs for t in range(a + FILL_MARGIN, b - FILL_MARGIN)]
@@ -403,6 +406,6 @@ def filled_error(record: Record, field: xr.DataArray) -> float:
 
 
 def filled_density(record: Record, field: xr.DataArray) -> float:
-    """Return what errors at interpolated nodes, taken as white, add to E(omega) of a field; 0 if unknown."""
+    """Return the white spectrum that errors at interpolated nodes add to E(omega); 0 if unknown."""
     share = record.holes / max(record.steps_in_runs() * record.shape[0] * record.shape[1], 1)
     return float(np.nan_to_num(share * filled_error(record, field) ** 2 * record.dt / np.pi))

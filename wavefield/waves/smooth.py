@@ -178,7 +178,7 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Learned:
-    """Wave spectrum and noise, estimated from sample windows; arrays are (fields,) if not noted."""
+    """Wave spectrum and noise, estimated from sample windows; arrays (4,) are for z, u, v, rate of rise."""
 
     prior: Array  # (groups,): variance of the amplitudes on each ring, and of the constants
     variance: Array  # median of the squared standard uncertainties of the cube
@@ -190,7 +190,7 @@ class Learned:
 def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array) -> Learned:
     """Return spectrum and noise, from sample windows (fields, times, ny, nx) that are 0 outside `mask`.
     In each round of expectation maximisation, the variance of a ring becomes the mean square of its
-    amplitudes plus their posterior variance. ``variance`` (fields,) is that of the noise by the cube."""
+    amplitudes plus their posterior variance. ``variance`` (4,) is the noise variance that the cube gives."""
     products = waves.products(mask)
     # the noise that resembles waves is estimated on an orthogonal basis of all plane waves
     basis = waves.basis[mask.ravel()]
@@ -237,7 +237,8 @@ JUMP_OF_TIME = -1.0  # marks a step at which time jumps, in place of its quality
 
 
 class _Smoother:
-    """Smooths single steps of a record; holds the rectangles that cover the grid, spectrum and noise."""
+    """Smooths single steps of a record, in overlapping rectangles of nodes that together cover the grid.
+    It keeps the spectrum and noise that `study` learns, and the fits of all rectangles."""
 
     def __init__(
         self,
@@ -268,9 +269,9 @@ class _Smoother:
         self._fits: dict[int, tuple[Posterior, Array]] = {}
 
     def parts(self, window: Array) -> tuple[Array, Array, Array]:
-        """Return z, u, v and rate of rise, their variances, and a mask of measured nodes: three arrays.
-        The first two are (4, times, ny, nx). `window` (9, times, ny, nx) is z, u, v, w, their uncertainties,
-        quality."""
+        """Return z, u, v and rate of rise, (4, times, ny, nx), variances of the same shape, and a mask.
+        The mask (times, ny, nx) is true for measured nodes. `window` (9, times, ny, nx) holds z, u, v, w,
+        their standard uncertainties, and quality."""
         z, u, v, w = window[:4].astype(float)
         z_y, z_x = slopes(z, self.step, self.step)
         fields = np.stack([z, u, v, w - u * z_x - v * z_y])
@@ -281,8 +282,8 @@ class _Smoother:
 
     def study(self, windows: list[Array]) -> None:
         """Learn spectrum and noise from sample windows (9, times, ny, nx), as in `parts`; they set `learned`.
-        Raises CubeError if less than a quarter of the nodes is always measured in the better half of the
-        windows."""
+        Only the half of the windows with the most measured nodes is used. Raises CubeError if less than a
+        quarter of the nodes of the best rectangle are measured at all their times."""
         parts = [self.parts(window) for window in windows]
         shares = [there.mean() for _, _, there in parts]
         parts = [parts[i] for i in np.argsort(shares, kind="stable")[len(parts) // 2 :]]

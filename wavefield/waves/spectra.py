@@ -33,7 +33,8 @@ Array = NDArray[Any]
 
 
 def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return E(k, omega), a result of `komega`, as given or for a field; or raise CubeError for `name`."""
+    """Return E(k, omega): `given` itself if it is a result of `komega`, or the spectrum of a field `given`.
+    Otherwise raise CubeError for the estimator `name`."""
     if is_field(given):
         return komega(given), {}
     if isinstance(given, xr.Dataset) and "E" in given and {"omega", "k"} <= {*given["E"].dims}:
@@ -315,7 +316,7 @@ def plane_of(field: str, segment: int | None = None) -> Convert:
 
 
 def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> xr.DataArray:
-    """Return E(omega, ky, kx) of the field `name`, whose sums it takes out of those of an analysis."""
+    """Return E(omega, ky, kx) of the field `name` from `sums`, and remove the sums of this field there."""
     power = sums.pop(f"map {name}")  # frees memory: no other product needs it
     values = xr.Variable(("omega", "ky", "kx"), density(power, welch))
     return plane_density(values, FIELD_TEXTS[name], FIELD_UNITS[name], welch)["E"]

@@ -88,9 +88,9 @@ def transforms(
 
 
 def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Array]:
-    """Return zeros, to which `add_segment` adds, for transforms like `half` (cells, n / 2), by name.
-    For each quantity, powers and squared powers, and for each pair "a*b", real and imaginary parts: (2,
-    rings, n / 2 + 1). "squares a*b" is (rings, n / 2 + 1). "map ..." (cells, n) is for single cells."""
+    """Return arrays of zeros, by name, to which `add_segment` adds sums over segments.
+    "<name>" and "a*b" are (2, rings, n / 2 + 1): power and squared power, or real and imaginary part.
+    "squares a*b" is (rings, n / 2 + 1), and "map ..." (cells, n); `half` (cells, n / 2) is a transform."""
     cells, steps = half.shape
     names = (*requested.names, *(f"{a}*{b}" for a, b in requested.pairs))
     sums = {name: np.zeros((2, table.k.size, steps + 1)) for name in names}

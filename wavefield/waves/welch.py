@@ -29,7 +29,7 @@ def hann(n: int) -> np.ndarray:
 
 
 def hann_power(distance: np.ndarray) -> np.ndarray:
-    """Return the power of a wave in a line that is `distance` lines off, relative to that at distance 0."""
+    """Return the power of a wave in the line that is `distance` lines from its frequency, 1 at distance 0."""
     off = np.where(np.abs(np.abs(distance) - 1) < 1e-9, 0.0, 1 - distance**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         amplitude = np.where(off == 0, 0.5, np.sinc(distance) / off)
@@ -79,7 +79,8 @@ def richardson_lucy(
     rounds: int,
 ) -> np.ndarray:
     """Deconvolve a spectrum: return a non-negative one that the window turns into `measured`.
-    ``corrected(estimate, ratio)`` multiplies by a ratio averaged over the window (Richardson 1972)."""
+    The iteration starts from `estimate`. ``through_window(estimate)`` applies the window;
+    ``corrected(estimate, ratio)`` multiplies by the ratio, averaged over the window (Richardson 1972)."""
     for _ in range(rounds):
         estimate = corrected(estimate, measured / through_window(estimate))
     return estimate
@@ -115,7 +116,8 @@ def _values(part: object) -> np.ndarray:
 def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
-    """Return slices to read for steps a to b of a run, the missing steps in them, and the place of a to b."""
+    """Return the slices (time, y, x) to read for steps a to b - 1 of a run and around them, to fill gaps.
+    Also return a mask of missing steps in what is read, and the slice of the steps a to b - 1 in it."""
     bridged = np.asarray(record.bridged, int)
     reach = FILL_MARGIN if record.holes or bridged.size else 0
     lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
@@ -462,7 +464,8 @@ def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
 
 
 def frames_of_meaning(*stated: str) -> int:
-    """Return `path_frames` for "displacement" (2) or "instantaneous" (1); otherwise raise CubeError."""
+    """Return `path_frames` for "displacement" (2) or "instantaneous" (1), given as the only argument.
+    CubeError for other words and for several arguments."""
     if len(stated) > 1 or stated[0] not in MEANINGS:
         raise CubeError(
             f"the velocities are stated to be {' and '.join(stated)}: state one of {', '.join(MEANINGS)}"
@@ -471,7 +474,8 @@ def frames_of_meaning(*stated: str) -> int:
 
 
 def states_velocity(cube: xr.Dataset) -> bool:
-    """Return whether a cube says if its velocities are displacements or instantaneous, or was measured."""
+    """Return whether a cube tells if its velocities are displacements or instantaneous.
+    It does by `path_frames`, by the attribute ``velocity``, or because this package measured it."""
     of = [cube, *(cube[name] for name in ("u", "v", "w"))]
     return "path_frames" in cube.coords or any({VELOCITY, "recipe"} & {*one.attrs} for one in of)
 
