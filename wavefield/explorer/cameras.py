@@ -147,7 +147,7 @@ def visible_nodes(
 class CameraPanel:
     """The tab with the image of one camera and the nodes of the grid drawn on it.
     A click calls `took_corner(camera, column, row)`, for masks. If that returns False, the click calls
-    `picked(x, y)` with the nearest node, m. `changed` is called if another camera or overlay is chosen."""
+    `picked` with x, y of the nearest node, m. `changed` is called if another camera or overlay is chosen."""
 
     def __init__(
         self,

@@ -56,7 +56,7 @@ class CameraView:
 
 
 class FollowPage:
-    """The page of an experiment that is being recorded, in one browser tab; it shows what `follower` finds.
+    """The page of an experiment that is being recorded, in one browser tab, with the results of `follower`.
     `probes`, with variables probe_x and probe_y in metres, are marked on the map."""
 
     def __init__(self, follower: Follower, probes: xr.Dataset | None = None) -> None:
@@ -184,7 +184,7 @@ def _large(heading: str, colour: str, words: str) -> str:
 
 
 def follow_server(follower: Follower, port: int | None = None) -> PageServer:
-    """Return a web server of the page of an experiment that is being recorded, as `make_server` does."""
+    """Return a web server of the page of an experiment that is being recorded; `port` as in `make_server`."""
     probes = None
     with suppress(WavefieldError):  # the page only marks them on the map
         if follower.experiment.probes:

@@ -128,7 +128,8 @@ def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, flo
 
 @dataclass
 class Baseline:
-    """The first summaries of each camera, of each pair and of the steps; their medians rate later ones."""
+    """Keeps the first FrameFeatures of each camera, PairSummary of each pair, and StepSummary of the record.
+    Later ones are compared with the medians of these."""
 
     n_steps: int = 4  # number of first steps that count
     _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)
@@ -141,8 +142,8 @@ class Baseline:
             first.append(values)
 
     def medians(self, kind: type[T], name: str = "") -> T | None:
-        """Return the medians of the first summaries of class `kind` and camera or pair `name`, as a `kind`.
-        The result is None until there are `n_steps` of them."""
+        """Return the median of each number in the first instances of `kind`, as a `kind`.
+        `name` is their camera or pair, "" for steps. The result is None until there are `n_steps` of them."""
         first = self._first.get((kind, name), [])
         if len(first) < self.n_steps:
             return None
@@ -152,7 +153,8 @@ class Baseline:
 
 def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -> list[StatusLight]:
     """Return the lights "brightness", "saturation", "seeding" and "focus" of one camera.
-    `now` is of its newest frame; `first` holds the medians of its first frames, or is None before these."""
+    `now` holds the numbers of its newest frame; `first` holds the medians of its first frames, or is None
+    before these are complete."""
     words = f"beads at {now.peak:.0f}, background {now.background:.0f}"
     dark = False
     if first is not None:

@@ -75,7 +75,8 @@ class FolderWatch:
                 self._noticed[name] = self._polled
 
     def silent(self) -> dict[str, float]:
-        """Return by camera the time, s, from the discovery of its newest frame to the last `poll`."""
+        """Return by camera the time, s, from the discovery of its newest frame to the last `poll`.
+        For a camera without frames, the time begins when this object was made."""
         return {name: self._polled - when for name, when in self._noticed.items()}
 
     def newest_set(self, after: int = -1) -> FrameSet | None:

@@ -32,7 +32,7 @@ _WHERE = ("x, y", "$x{0.000}, $y{0.000} m")
 
 
 def map_aspect(ratio: float) -> float:
-    """Return the width over the height of a map with its margins, for a field with this `ratio` of the two.
+    """Return the ratio of width to height of a map with its margins; `ratio` is that of the field alone.
     The margins are those of a map 900 px wide; the result is between 0.8 and 3."""
     return float(np.clip(ratio * 900 / (768 + 60 * ratio), 0.8, 3.0))
 
@@ -166,7 +166,8 @@ class MapPanel:
         return place.limits or self._fitted[name]
 
     def refit(self, place: Place) -> None:
-        """Forget the fitted scales of colours and arrows; the step that is shown next sets them again."""
+        """Forget the fitted scale of the arrows, and that of the colours of the variable in `place`.
+        The step that is shown next sets them again."""
         self._fitted.pop(place.show, None)
         self._fastest = 0.0
 

@@ -179,7 +179,7 @@ class NodePanel:
         return nearest_probe(self.probes, record.x[i], record.y[j], max(MAX_PROBE_DISTANCE_M, spacing))
 
     def _series(self, name: str, unit_of: str = "") -> Array:
-        """Return the variable `name` at the preview's node nearest to the picked node, (time,).
+        """Return the variable `name` at the node of the thinned copy nearest to the picked node, (time,).
         Its unit is that in which the variable `unit_of`, by default `name`, is displayed."""
         preview, factor = self._record.preview, display(unit_of or name).factor
         return preview.series(name, *self._index(preview.y, preview.x)) * np.float32(factor)

@@ -44,7 +44,7 @@ _WRAP = {"flex-wrap": "wrap"}
 
 
 class LookPage:
-    """The page of a cube in one browser tab, which opens in the state `place`."""
+    """The page of a cube in one browser tab. `place` is the state (variable, step, ...) in which it opens."""
 
     def __init__(self, session: LookSession, place: Place) -> None:
         self.session, self.place = session, place
@@ -176,7 +176,8 @@ class LookPage:
         self._soon(self._show_picked)
 
     def _show_probes(self, probes: "xr.Dataset") -> None:
-        """Draw the probes (probe, time) on the map, and give them to the node panel for comparison."""
+        """Draw the probes on the map, and give them to the node panel for comparison.
+        Names of probes without a position or outside the map are added to `trouble`."""
         record = self.session.record
         names, x, y = probes.probe.values.astype(str), probes.probe_x.values, probes.probe_y.values
         self.node.probes = probes

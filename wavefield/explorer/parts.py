@@ -217,7 +217,7 @@ def text_line(name: str, text: str = "", html: bool = False) -> Div:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return a number as text to some significant digits, with a typographic minus sign."""
+    """Return a number as text with at most `digits` significant digits and a typographic minus sign."""
     return f"{value:.{digits}g}".replace("-", "\u2212")
 
 
@@ -317,7 +317,8 @@ def colour_bar(mapper: LinearColorMapper) -> ColorBar:
 
 
 def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
-    """Return the columns of a source that draws values (ny, nx) as an image, centred on x (nx,), y (ny,)."""
+    """Return the columns of a source that draws values (ny, nx) as an image.
+    The centres of its pixels are at x (nx,) and y (ny,)."""
     dx, dy = (float(v[-1] - v[0]) / max(len(v) - 1, 1) or 1.0 for v in (x, y))
     return {
         "image": [np.ascontiguousarray(values, np.float32)],
@@ -332,7 +333,7 @@ def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
 
 
 def envelope(t: Series, value: Series, std: Series) -> dict[str, Series]:
-    """Return the columns t, value, low and high that draw a series (n,) with its band from -std to +std.
+    """Return the columns t, value, low and high that draw a series (n,) with a band of `std` on either side.
     Long series are thinned: of each bin of successive samples, those with the lowest and highest value stay,
     so that crests and troughs stay visible. The band of a bin encloses the bands of all its samples."""
     low, high = value - std, value + std

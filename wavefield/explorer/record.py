@@ -60,8 +60,8 @@ class CubeRecord:
         return float(self.group.attrs["frame_rate"])
 
     def refresh(self) -> bool:
-        """Read `frame_status` again and drop fields in memory of steps whose status changed.
-        Return whether any did."""
+        """Read `frame_status` again, and remove from memory the fields of steps whose status has changed.
+        Return whether the status of any step has changed."""
         ledger = read_array(self.group, self.path, "frame_status")
         changed = ledger != self.ledger
         for key in [key for key in self._cache if changed[key[1]]]:

@@ -35,8 +35,8 @@ _HOSTS = ("localhost", "127.0.0.1")
 
 
 def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
-    """Return x, y, metres, of the node nearest to the middle of the grid, of those with a value at this step.
-    All nodes count if none has a value."""
+    """Return x, y, metres, of the measured node nearest to the middle of the grid at a step.
+    If no node is measured then, all nodes count."""
     x, y = np.meshgrid(record.x - record.x.mean(), record.y - record.y.mean())
     distance = np.hypot(x, y)
     with suppress(StoreError):  # the map reports a damaged step
@@ -104,8 +104,8 @@ class PageServer(BaseServer):  # type: ignore[misc]
 
 
 def make_server(make_page: Callable[[Document], None], port: int | None) -> PageServer:
-    """Return a server of pages that only this machine can open, at `port`; 0 is any free port.
-    None is the first free one of `DEFAULT_PORTS`. `make_page` fills the Bokeh document of each browser tab.
+    """Return a server of pages that only this machine can open. `port` 0 means any free port, and None the
+    first free one of `DEFAULT_PORTS`. `make_page` fills the Bokeh document of each browser tab.
     Raises WavefieldError if no port is free."""
     ports = DEFAULT_PORTS if port is None else range(port, port + 1)
     for number in ports:
@@ -128,7 +128,7 @@ def make_server(make_page: Callable[[Document], None], port: int | None) -> Page
 
 
 def session_server(session: LookSession, port: int | None = None) -> PageServer:
-    """Return a web server of the page of a cube, as `make_server` does.
+    """Return a web server of the page of a cube; `port` is as in `make_server`.
     Each browser tab opens in the state (step, variable, ...) that its link stores."""
     record = session.record
 
@@ -144,7 +144,8 @@ def session_server(session: LookSession, port: int | None = None) -> PageServer:
 
 
 class ServedPage:
-    """A page that a notebook shows in a frame. `make` is called in a thread, which runs its server."""
+    """A page that a notebook shows in a frame.
+    `make` returns its server. It is called in a new thread, in which the server then runs."""
 
     def __init__(self, make: Callable[[], PageServer]) -> None:
         self._ready = threading.Event()
@@ -203,7 +204,8 @@ def look(cube: str | Path, *, port: int | None = 0) -> ServedPage:
     cube : path
         Store written by `run`, finished or not.
     port : int, optional
-        Port of the page, which only this machine can open; by default any free one. None: from 5006.
+        Port of the page, which only this machine can open; by default any free one. None: the first free one
+        from 5006 on.
 
     Returns
     -------

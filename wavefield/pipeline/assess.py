@@ -80,7 +80,7 @@ def measure_synchrony(
 
 
 def clear_discontinuous_steps(prepared: PreparedRun, status: Status) -> None:
-    """Set the steps of a stored cube to NaN that use frames from both sides of a lost, doubled or late frame.
+    """Set to NaN the steps of a stored cube whose frames are on both sides of a lost, doubled or late frame.
     An incomplete cube, and one measured in a light sheet, is left as it is. A second call changes nothing."""
     if not status.complete or prepared.in_light_sheet:
         return
@@ -120,7 +120,7 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
 
 
 def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tuple[float, float]:
-    """Return the times of the first and the last frame of the record, s; ``series`` is by camera."""
+    """Return the times of the first and the last frame of the record, s; ``series`` is frames by camera."""
     times = experiment.frame_times(next(iter(series.values())))
     return float(times[0]), float(times[-1])
 
@@ -162,15 +162,16 @@ def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
 
 
 def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
-    """Return the fraction of the nodes in view that were measured, with ``by_all`` by all cameras together.
-    ``quality`` is the variable of the cube, of any shape. The fraction is 0 if no node is in view."""
+    """Return the fraction of the nodes in view that were measured; 0 if no node is in view.
+    With ``by_all``, nodes that were measured by only some of the cameras do not count. ``quality`` is the
+    variable of the cube, of any shape."""
     visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
     marks = np.uint16(Quality.MEASURED | (Quality.FEWER_CAMERAS if by_all else 0))
     return float(((quality[visible] & marks) == Quality.MEASURED).mean()) if visible.any() else 0.0
 
 
 def _sampled(steps: int) -> list[int]:
-    """Return the steps that are matched again after a run of ``steps``, evenly spaced.
+    """Return the indices of the evenly spaced steps that are measured again after a run of ``steps`` steps.
     Their number is a tenth of all, but at least 4 and at most 12."""
     return evenly_spaced(steps, min(MAX_SAMPLED, max(SAMPLE_STEPS, steps // 10)))
 
@@ -179,10 +180,10 @@ _BIN_EDGES = np.linspace(-5, 5, 101)  # errors in units of their rms
 
 
 def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
-    """Measure some steps with each pair of cameras alone, and return the errors of all these steps together.
+    """Measure some steps with each pair of cameras alone, and return statistics of errors between cameras.
     Returns ``rms`` and ``beyond`` (fraction of outliers), both (error,), and ``density`` (error, bin), the
     probability density of each error in units of its rms. Coordinates tell the quantity, cameras and units of
-    an error. None if no step can be measured, without a learned record, and in a light sheet."""
+    an error. None if no step can be measured, if nothing was learned from the record, or in a light sheet."""
     geometry, model = prepared.geometry, prepared.model
     if prepared.in_light_sheet or model is None:  # cameras are not matched with each other
         return None

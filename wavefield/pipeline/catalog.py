@@ -98,9 +98,9 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
 
 def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> None:
-    """Link the folder of ``cube``, if there is one, into the folder ``place`` of a run.
-    The name of the link is the hash of the cube's recipe, which is added in place to ``data``, the content of
-    the catalog."""
+    """Make a link to the folder of ``cube`` in the folder ``place`` of a run, if that cube exists.
+    The link is named after the hash of the cube's recipe. This hash is also added, in place, to ``data``, the
+    content of the catalog."""
     from wavefield.store.read import is_cube, open_group
 
     if not is_cube(cube):

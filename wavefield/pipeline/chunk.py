@@ -175,9 +175,9 @@ def _find_high_water(
     chunk: Chunk,
     geometry: "GridGeometry",
 ) -> None:
-    """Mark steps whose elevation z (n, ny, nx) reaches a limit of the searched range as done with faults.
-    ``status`` (n,) is changed in place, and so is ``frames``: the first frame of such a step becomes a bad
-    frame of the reference camera."""
+    """Set the status of steps whose elevation z (n, ny, nx) reaches a limit of the searched range.
+    It becomes "done with faults" in ``status`` (n,), in place. In ``frames``, also in place, the first frame
+    of such a step becomes a bad frame of the reference camera."""
     from wavefield.measurement.search_range import at_border
 
     for step in np.flatnonzero(status != FrameStatus.FAILED).tolist():

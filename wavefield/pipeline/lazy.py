@@ -289,7 +289,7 @@ class _Learner:
 
 
 def _from_record(known: "Known") -> dict[str, np.ndarray]:
-    """Return the variables of the cube that do not depend on time (response to waves, ...), by name.
+    """Return the variables of the cube that do not depend on time (gains for waves, ...), by name.
     ``known`` is the geometry and the estimator."""
     geometry, model = known
     record = model.record if model else None

@@ -39,7 +39,8 @@ def learn_record(
 
 
 def samples(sources: Mapping[str, Source], steps: Sequence[int]) -> list[Mapping[str, Source]]:
-    """Return one mapping per step: by camera, the frame before the step (if any) and its two frames."""
+    """Return, for each step, a mapping from cameras to three frames: the two of the step and the one before.
+    The frame before the step is left out at the first step."""
     return [{n: s.window(max(k - 1, 0), k + 2) for n, s in sources.items()} for k in steps]
 
 
@@ -55,7 +56,7 @@ def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str,
 def steps_with_waves(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
 ) -> list[int]:
-    """Return the steps to learn from: evenly spaced or, if waves are much weaker there, of strong waves.
+    """Return the steps to learn from: evenly spaced or, if waves are much weaker then, those of strong waves.
     The strength is the variance of the displacements in the images of one camera about the mean current."""
     from wavefield.measurement import sample_steps
 
@@ -106,8 +107,8 @@ def learn_from(
 
 def once_per_cube(geometry: "GridGeometry", record: "LearnedRecord | None") -> dict[str, np.ndarray]:
     """Return the variables that a cube has once, not per step, by name.
-    They are the response to waves (`tabulated`), and ``z_level_std``, the standard uncertainty of the level
-    z = 0, m."""
+    They are the gains of the measurement for waves (`tabulated`), and ``z_level_std``, the standard
+    uncertainty of the level z = 0, m."""
     from wavefield.measurement.error_budget import level_std
     from wavefield.measurement.model import tabulated
 

@@ -76,9 +76,9 @@ def _named(store: Path, attributes: Mapping[str, object], name: str) -> Path:
 
 
 def load_experiment(store: Path, attributes: Mapping[str, object], given: Path | None = None) -> Experiment:
-    """Read the experiment of a cube with these attributes from the file ``given`` or, by default, find it.
-    It is the file next to the cube or, if that is missing or has other images, the file that the attributes
-    name. WavefieldError if both fail."""
+    """Read the experiment of a cube from the file ``given`` or, by default, from the file next to the cube.
+    If that is missing or has other images, the file that the cube's ``attributes`` name is read instead.
+    WavefieldError if none can be read."""
     named, folder = (_named(store, attributes, name) for name in ("experiment_file", "image_folder"))
     images = folder if attributes.get("image_folder") and folder.is_dir() else None
     if given is not None:
@@ -110,7 +110,8 @@ def _check_first_images(experiment: Experiment, store: Path, attributes: Mapping
 
 
 def fingerprints(series: Mapping[str, FrameSeries]) -> dict[str, dict[str, int]]:
-    """Return checksums of the first, middle and last image of each camera: {"left": {"0": checksum}}."""
+    """Return checksums of the first, middle and last image of each camera, by camera, then by frame index.
+    An example is {"left": {"0": checksum, "50": checksum, "99": checksum}}. Bad images are left out."""
     out: dict[str, dict[str, int]] = {}
     for name, frames in series.items():
         read = {str(k): frames.read(k).image for k in from_first_to_last(len(frames), SAMPLE_FRAMES)}

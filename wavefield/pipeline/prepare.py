@@ -44,9 +44,9 @@ _MAX_THICKNESS_FRACTION = 0.05  # beads and light sheets, as a fraction of that 
 
 
 def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> None:
-    """Raise RigError or ExperimentError if a rig has cameras below the water, or is not in metres.
-    It is not in metres if the median distance between camera and water is not 0.02 to 200. ``rig_file`` is
-    the name of the rig in messages."""
+    """Raise an error if the lengths in a rig are not in metres, or if `water.level` is above a camera.
+    They are not in metres if the median distance between camera and water is not 0.02 to 200. ``rig_file``
+    is the name of the rig in messages. Also raises the errors of `refuse_own_frame`."""
     refuse_own_frame(rig, rig_file)
     distance = float(np.median(_distances(rig)))
     if not _CAMERA_DISTANCES[0] <= distance <= _CAMERA_DISTANCES[1]:
@@ -63,7 +63,7 @@ def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> 
 
 
 def refuse_own_frame(rig: Rig, rig_file: str) -> None:
-    """Raise RigError if a rig has no camera positions, or if a camera is the origin of its coordinates.
+    """Raise RigError if a rig has no camera positions, or if a camera is at the origin of the coordinates.
     ``rig_file`` is the name of the rig in messages."""
     if rig.lenses_alone:
         raise RigError(
