@@ -34,7 +34,7 @@ def mask_outlines(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
 
 
 class MaskPanel:
-    """The tab of masks: the user clicks their corners, and it shows the lines to add to the experiment file.
+    """The tab of masks: it shows the lines of the experiment file for masks whose corners the user clicks.
     `changed` is called after every change of the corners."""
 
     def __init__(self, changed: Callable[[], None]) -> None:

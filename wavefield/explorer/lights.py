@@ -153,8 +153,7 @@ class Baseline:
 
 def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -> list[StatusLight]:
     """Return the lights "brightness", "saturation", "seeding" and "focus" of one camera.
-    `now` holds the numbers of its newest frame; `first` holds the medians of its first frames, or is None
-    before these are complete."""
+    `now` is of its newest frame; `first` holds the medians of its first frames, None until these exist."""
     words = f"beads at {now.peak:.0f}, background {now.background:.0f}"
     dark = False
     if first is not None:
@@ -180,7 +179,7 @@ def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -
 
 def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> StatusLight:
     """Return the light of a pair of cameras "a-b", which is bad if they disagree: one may have moved.
-    `now` is of the newest frames; `first` holds the medians of the first ones, or is None before these."""
+    `now` is of the newest frames; `first` holds the medians of the first ones, None until these exist."""
     state = _worst(_rate("eps_y", now, first), _rate("matched", now, first))
     missed = f"epipolar error {now.eps_y:.2f} px" if np.isfinite(now.eps_y) else "no blocks match"
     return StatusLight("eps_y", pair, state, f"{missed}; {100 * now.matched:.0f} % of the blocks match")
@@ -210,7 +209,7 @@ def arrival_lights(
 
 def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight]:
     """Return the lights "eps'" (misfit), "coverage" and "range of z" of a measured step.
-    `now` holds its numbers; `first` holds the medians of the first steps, or is None before these."""
+    `now` is of the step; `first` holds the medians of the first steps, None until these exist."""
     found = {
         "eps'": ("eps_piv", f"displacements differ by {now.eps_piv:.2f} px"),
         "coverage": ("coverage", f"{100 * now.coverage:.0f} % of the nodes measured"),
@@ -231,8 +230,8 @@ def _ratio(value: float, reference: float) -> float:
 
 
 def _rate(name: str, now: T, first: T | None) -> State:
-    """Return the state of the field `name` of the summary `now`: the worse of two.
-    One is of its value, by `LIMITS`; the other of its ratio to that of the medians `first`, by `RELATIVE`."""
+    """Return the state of the number `name` in `now`, such as "matched": the worse of two states.
+    One compares its value with `LIMITS`, the other its ratio to the median in `first` with `RELATIVE`."""
     value = getattr(now, name)
     state = _state(value, LIMITS[name])
     if first is None or name not in RELATIVE:

@@ -24,9 +24,10 @@ def level_at_rest(
     frames: int = FRAMES,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Rig, RigCheck, WaterPlane]:
-    """Correct a rig with some frames of still, seeded water, and level it so that z = 0 is the water.
-    ``rig`` replaces the rig of the experiment. ``progress`` is called with the number of frames done and of
-    all. Returns the corrected rig, a check of the given rig, and the plane of the water in the given rig."""
+    """Correct a rig with images of still, seeded water, and level it so that z = 0 is the water.
+    ``rig`` replaces the rig of the experiment, and ``frames`` is the number of frames that are used.
+    ``progress`` is called with the numbers of frames done and of all frames. Returns the corrected rig, a
+    check of the given rig, and the plane of the water in the coordinates of the given rig."""
     from wavefield.calibration.still_water import refine_and_level
     from wavefield.measurement.pair import matched_pixels
 

@@ -188,7 +188,7 @@ def independent_nodes(lines: Array, number: Array) -> Array:
 
 
 def of_products(dof: Mapping[str, Array], power: Array, dof_omega: Array) -> dict[str, Array]:
-    """Return the degrees of freedom of the nonlinear term: its own, `dof`, reduced by those of the waves.
+    """Return the degrees of freedom of the nonlinear term: `dof` of its spectra, lowered for the waves' own.
     Its energy is quadratic in that of the waves, whose relative variance therefore counts four times. `power`
     and `dof_omega`, both (lines,), are of E(omega) of the waves."""
     total = sum_freedom(power[:, None], dof_omega[:, None], hann_correlation(power.size))
@@ -235,9 +235,9 @@ def independent_samples(
 ) -> dict[str, Array]:
     """Return the number N of independent samples of a cross spectrum, "both", and of its sum over omega, "k".
     For unrelated fields, the mean of |S_ab|^2 is E_a E_b / N. N follows from the mean of |A|^2 |B|^2, in a
-    cell (1 + gamma^2) times the product of the mean powers of A and B, with the coherence gamma. The
-    nonlinear term does not follow the dispersion relation: its segments are correlated by their overlap
-    only."""
+    cell (1 + gamma^2) times the product of the mean powers of A and B, with the coherence gamma. Segments of
+    the nonlinear term, which is not of free waves, are correlated by their overlap only. `dof_k` holds the
+    degrees of freedom of E(k) of both fields."""
     product = sums[first][0] * sums[second][0]
     power, there = np.sqrt(product), product > 0
     real, imaginary = sums[f"{first}*{second}"]

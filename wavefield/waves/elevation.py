@@ -66,7 +66,7 @@ LEARNED_WITHIN = 1.5  # chosen: a predicted signal-to-noise ratio is uncertain b
 
 
 def _white(noise: Array, use: Array) -> Array:
-    """Return the white noise of each ring, (k,): the median of `noise` (omega, k) where `use`, or 0."""
+    """Return the white noise of each ring, (k,): the median of `noise` (omega, k) where `use`, at least 0."""
     noise = np.where(use, noise, np.nan)
     usable = np.isfinite(noise).any(axis=0)  # short records: some rings have no line away from free waves
     out: Array = np.zeros(noise.shape[1])
@@ -75,8 +75,8 @@ def _white(noise: Array, use: Array) -> Array:
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    """Return the frequency, Hz, up to which a spectrum is valid from its peak on, and the decades it falls.
-    `valid` and `signal` are (omega,)."""
+    """Return the frequency, Hz, up to which a spectrum is valid without a gap from its peak on.
+    Also return by how many decades it falls until there. `valid` and `signal` are (omega,)."""
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
@@ -125,7 +125,8 @@ class _Gains:
         return np.asarray((self.z > 0) & (self.w > 0))
 
     def elevation(self, cross: Array) -> Array:
-        """Return the elevation spectrum (omega, k) from `cross`, that of z and w; 0 if not correctable."""
+        """Return the elevation spectrum (omega, k) from `cross`, the cross spectrum of z and w.
+        It is 0 in rings that are not `both_usable`."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.both_usable, cross / self.zw, 0.0)
 
@@ -230,7 +231,7 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
 def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array, Array]:
     """Return the elevation spectrum from z and w combined, its noise, and its uncertainty, each (omega, k).
     In every cell, z and w, divided by their gains, have weights by the inverse variance of noise and gain.
-    The noise is subtracted. The uncertainty is that by the gains, relative, of an amplitude."""
+    The noise is subtracted. The uncertainty is that of an amplitude, relative, due to the gains only."""
     std_z, std_w = gains.std
     waves = np.maximum(gains.elevation(spectra.zw), 0.0)
     by_z = np.sqrt(gains.z) / (noise.fit_z + std_z**2 * gains.z * waves)
@@ -255,9 +256,9 @@ def _tiny(spectra: _Elevations) -> float:
 def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
 ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
-    """Return energies, masks of trusted cells and uncertainties by gains: four arrays (omega, k) of each.
-    They are in the order of `METHODS`. With `undo`, noise and gains are corrected, and untrusted cells are
-    0."""
+    """Return energies, masks of trusted cells, and relative uncertainties of the energies due to the gains.
+    Each is four arrays (omega, k), one per method. With `undo`, energies are corrected for noise and gains,
+    and those of untrusted cells are 0."""
     best, remaining, std_best = _best(spectra, noise, gains)
     with np.errstate(divide="ignore", invalid="ignore"):
         signals = (
@@ -285,8 +286,8 @@ def _freedom(
     ring: xr.Dataset, energies: Sequence[Array], remaining: Array, gain_variances: Array, tiny: float
 ) -> Array:
     """Return the degrees of freedom of E(omega) by the four `METHODS`, (methods, omega).
-    Those of z and w are lowered by subtracted noise, of which `remaining` (omega,) is that of the
-    combination, and by `gain_variances` (methods, omega), the relative variances of energies by the gains."""
+    They are those of z and w, lowered because noise is subtracted and gains are uncertain. `remaining`
+    (omega,) is the noise of the combination; `gain_variances` (methods, omega) are relative, of E(omega)."""
     z, w = (ring["dof_omega"].sel(quantity=name).clip(min=1).values for name in NAMES)
     dof = np.stack([z, w, np.sqrt(z * w), np.sqrt(z * w)])
     zz, ww, zw, best = energies

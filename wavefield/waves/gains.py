@@ -55,7 +55,7 @@ PREDICTED = "linear theory"  # first words of the attribute `origin` of a predic
 
 
 def read_gain(source: str | Path | xr.Dataset) -> xr.Dataset:
-    """Return a gain, or read it from the store `source`; raise StoreError if that of z or w is missing."""
+    """Return the gain `source`, read if it is the path of a store; StoreError without gain_z or gain_w."""
     if isinstance(source, xr.Dataset):
         gain = source
     else:

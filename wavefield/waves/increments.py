@@ -141,8 +141,7 @@ def structure_functions(field: xr.DataArray, *, differences: int = 1) -> xr.Data
 
 
 def _moments(sums: Array) -> tuple[Array, Array]:
-    """Return structure functions (..., lags, orders) and flatness (..., lags).
-    `sums` (..., lags, 7) are results of `powers_of_differences`."""
+    """Return structure functions (..., lags, 6) and flatness (..., lags), from sums of increments' powers."""
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = sums[..., 1:] / sums[..., :1]
         return mean, mean[..., 3] / mean[..., 1] ** 2

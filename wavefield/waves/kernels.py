@@ -253,7 +253,7 @@ def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: A
 @_loose
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
     """Add the power of each wave to the spectrum ``out`` (lines, ny, nx), spread over neighbouring cells.
-    ``first`` (3, waves) is the first cell along each axis; ``weights`` (3, waves, cells) divide the power.
+    ``first`` (3, waves) is the first cell along each axis, and ``weights`` (3, waves, cells) are fractions.
     The k plane is periodic: cells beyond an edge are at the opposite edge. Lines outside are left out."""
     lines, ny, nx = out.shape
     near = weights.shape[2]

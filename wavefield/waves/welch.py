@@ -162,7 +162,7 @@ class Reader:
 
 
 def cut_chains(record: Record, segment: int) -> list[list[Link]]:
-    """Return the segments of a record as chains of up to `CHAIN_LENGTH`, each a list of half segments."""
+    """Return the half segments of a record, in one list per chain of up to `CHAIN_LENGTH` segments."""
     half = segment // 2
     out = []
     for run in record.runs:
@@ -198,7 +198,7 @@ def sum_segments(
     arrays: Sequence[xr.DataArray], record: Record, segment: int, transform: Any, accumulate: Any
 ) -> Any:
     """Return the sums of `sum_chain` over all segments of a record, as a Dask delayed object.
-    Stored fields are read half a segment at a time, and Dask arrays a chain at a time."""
+    Stored fields are read half a segment at a time, and Dask arrays up to four segments at a time."""
 
     def work(transform: Any, parts: Sequence[xr.DataArray], first: int, links: Sequence[Link]) -> Sums:
         return sum_chain(Reader(parts, record, first=first), transform, accumulate, links)
