@@ -35,7 +35,7 @@ QUALITY = {
     Quality.REJECTED_CORRELATION: "low correlation between images",
     Quality.REJECTED_EPS: "large epipolar error",
     Quality.REJECTED_NEIGHBOURS: "outlier among its neighbours",
-    Quality.REJECTED_RANGE: "outside the search range, or waves far higher than in the sample steps",
+    Quality.REJECTED_RANGE: "outside the search range, or waves far higher than the learned spectrum",
     Quality.TWO_FRAME_MEAN: "z or the velocity comes from fewer than four frames",
     Quality.FEWER_CAMERAS: "one or more cameras left out",
     Quality.MASKED: "masked, or hidden behind a mask",

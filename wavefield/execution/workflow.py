@@ -63,7 +63,9 @@ class Workflow(ConfigSection):
         default=None, ge=1, examples=["64"], description="steps that a worker measures and stores together"
     )
     packing: Literal["float32", "int16"] = Field(default="float32", description="type of stored values")
-    settings: dict[str, Any] = Field(default_factory=dict, description="measurement settings that differ")
+    settings: dict[str, Any] = Field(
+        default_factory=dict, description="measurement settings that differ from the experiment's"
+    )
     _path: Path | None = PrivateAttr(default=None)
 
     @field_validator("workers")

@@ -87,7 +87,7 @@ class Experiment(RecordSection):
     probes: ProbesSection | None = Field(default=None, examples=["probes.csv"])
     smooth: bool = Field(default=False, description="write `smooth.zarr` after each run")
     settings: dict[str, Any] = Field(
-        default_factory=dict, description="measurement settings that differ; see below"
+        default_factory=dict, description="measurement settings that differ from the defaults; see below"
     )
 
     _path: Path = PrivateAttr(default=Path("experiment.yaml"))

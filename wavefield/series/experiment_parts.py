@@ -152,7 +152,7 @@ class WaterSection(ConfigSection):
     They are its depth, still level, density and surface tension."""
 
     depth: float | None = Field(default=None, gt=0, le=12_000, examples=["0.70"], description="depth, m")
-    level: float = Field(default=0.0, description="still water above z = 0 of the rig file, m")
+    level: float = Field(default=0.0, description="height of the still water above z = 0 of the rig file, m")
     density: float | None = Field(
         default=None, ge=400, le=30_000, examples=["1000"], description="kg m-3; default 1000"
     )

@@ -199,7 +199,7 @@ register(*_rows(Path(__file__).with_name("wave_variables.txt").read_text(encodin
 
 # groups of the wave store, in order, with the description of each in the documentation
 GROUPS = {
-    "spectra": "Of the quantities, z is at frame times, not midway between two frames; `nl` is the nonlinear"
+    "spectra": "The quantity `z` is at frame times, not midway between two frames; `nl` is the nonlinear"
     " term (u - U) . grad z; `rise` is z_t + U . grad z.\n\n`E` is integrated over the direction of k. For"
     " the mean over directions, divide it by 2 pi k `coverage`; `coverage` is the fraction of the ring of"
     " wavenumber k inside the sampled plane.\n\n`Ez` contains one elevation spectrum per method (dimension"
@@ -210,7 +210,8 @@ GROUPS = {
     " mean is 1 / `samples`, and it exceeds `level` in 5 % of cases.",
     "kinematics": "How well the fields satisfy the kinematic condition z_t = w - u . grad z.",
     "statistics": "Distributions and moments of z and of the displacements over one step.",
-    "dispersion": "Without a fitted current, this group contains only the theory.",
+    "dispersion": "The ridge is the energy along the dispersion relation. Without a fitted current, this"
+    " group contains only the theory.",
     "fusion": "Noise of stereo z and of integrated w, and their best combination.",
     "direction": "Directions of the waves on the dispersion relation; NaN where these waves are below the"
     " noise. The package wavespectra reads this group:"
