@@ -155,7 +155,7 @@ class LiveMeasurement:
         return fields, lights.summarize_step(fields, geometry.z_range)
 
     def pairs(self, frames: FrameSet) -> dict[str, PairSummary]:
-        """Return, by pair of cameras "a-b", how well their second frames agree; {} without a rig."""
+        """Return, by pair of cameras "a-b", how well the second frames of both agree; {} without a rig."""
         if self.learner is None:
             return {}
         geometry = self.learner.geometry

@@ -120,7 +120,7 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
 
 
 def record_span(experiment: Experiment, series: Mapping[str, FrameSeries]) -> tuple[float, float]:
-    """Return the times of the first and the last frame of the record, s; ``series`` is frames by camera."""
+    """Return the times of the first and last frame of the record, s; ``series`` holds frames by camera."""
     times = experiment.frame_times(next(iter(series.values())))
     return float(times[0]), float(times[-1])
 

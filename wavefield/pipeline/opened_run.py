@@ -49,8 +49,9 @@ def image_names(experiment: Experiment, camera: str) -> list[Any]:
 
 def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
     """Return attributes of a cube that describe its experiment but do not change the measured values.
-    They are the paths of the experiment file and the images, relative to the folder of ``store`` if possible;
-    the description; and the depth and the surface tension of the water."""
+    They are the path of the experiment file, the folder of the images if the experiment names it, the
+    description, and depth and surface tension of the water. Paths are relative to the folder of ``store``;
+    that of images outside of the experiment's folder is absolute."""
     home, own = store.absolute().parent.resolve(), experiment.path.parent.resolve()
     out: dict[str, Any] = {"experiment_file": _relative(own / experiment.path.name, home)}
     if experiment.description:

@@ -81,7 +81,7 @@ def refuse_own_frame(rig: Rig, rig_file: str) -> None:
 
 
 def expected_coverage(rig: Rig, grid: Grid) -> float:
-    """Return the fraction of the grid that every camera sees when the water is at rest."""
+    """Return the fraction of the grid that all cameras see when the water is at rest."""
     x, y = np.linspace(*grid.x), np.linspace(*grid.y)[:, None]  # 50 x 50 points are enough
     visible = np.ones((y.size, x.size), bool)
     with np.errstate(all="ignore"):  # a grid in another unit may reach behind the cameras
@@ -91,7 +91,7 @@ def expected_coverage(rig: Rig, grid: Grid) -> float:
 
 
 def refuse_unseen_grids(experiment: Experiment, rig: Rig, grid: Grid) -> None:
-    """Raise ExperimentError if the area that every camera sees is less than 5 % of the grid."""
+    """Raise ExperimentError if the area that all cameras see is less than 5 % of the grid."""
     fraction = expected_coverage(rig, grid)
     if fraction >= _MIN_COVERAGE:
         return

@@ -242,8 +242,8 @@ def elevation_density(
     density: xr.DataArray, current: tuple[float, float], frames: int, water: tuple[float, float]
 ) -> xr.DataArray:
     """Return E(omega, ky, kx) of the elevation, from the spectrum `density` of w; zero at omega = 0.
-    w, which is from `frames` frames, is integrated at omega - k . U, the frequency in the frame of the
-    water."""
+    w is integrated at omega - k . U, the frequency in the frame of the water. `frames` is the code
+    `path_frames` of w."""
     omega, ky, kx = np.meshgrid(
         *(density[name] for name in ("omega", "ky", "kx")), indexing="ij", sparse=True
     )

@@ -196,7 +196,7 @@ def _between(limits: tuple[float, float]) -> str:
 
 
 def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> RelationPoints:
-    """Return the points; raise CubeError, with the frequencies `limits`, if they are fewer than six."""
+    """Return the points; CubeError if there are fewer than six. Its message names `limits`, rad/s."""
     if len(points) < MIN_POINTS:
         raise CubeError(f"no dispersion relation was found {_between(limits)}: choose a longer segment")
     return points

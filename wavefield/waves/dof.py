@@ -188,9 +188,9 @@ def independent_nodes(lines: Array, number: Array) -> Array:
 
 
 def of_products(dof: Mapping[str, Array], power: Array, dof_omega: Array) -> dict[str, Array]:
-    """Return the degrees of freedom of the nonlinear term: `dof` of its spectra, lowered for the waves' own.
-    Its energy is quadratic in that of the waves, whose relative variance therefore counts four times. `power`
-    and `dof_omega`, both (lines,), are of E(omega) of the waves."""
+    """Return the degrees of freedom of spectra of the nonlinear term, from `dof`, estimated from these alone.
+    The energy is quadratic in that of the waves, so their relative variance is added four times. `power` and
+    `dof_omega`, both (lines,), are of E(omega) of the waves."""
     total = sum_freedom(power[:, None], dof_omega[:, None], hann_correlation(power.size))
     return {axes: (1 / (1 / own + 4 / total)).clip(1, None) for axes, own in dof.items()}
 
@@ -224,7 +224,7 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, 
 
 
 def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
-    """Return the degrees of freedom of E(omega) averaged over all nodes, from those, `dof`, of a Hann window.
+    """Return the degrees of freedom of E(omega) averaged over all nodes; `dof` are those with a Hann window.
     Waves of a frequency lie on an arc in the k plane, along which the window correlates cells."""
     arc = np.maximum(dof / welch.dof, 1.0)
     return np.asarray(dof * (1 + (arc - 1) * CORRELATED_CELLS) / arc)

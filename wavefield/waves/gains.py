@@ -1,7 +1,7 @@
 """Gains (transfer functions) of the measurement, and their correction in spectra.
 
-Averages and differences over time steps have gains that depend on b = omega dt / 2, and on `frames`, the
-number of frames per velocity. Matching windows average over space; their amplitude gain is a Dataset over
+Averages and differences over time steps have gains that depend on b = omega dt / 2, and on `frames`, the code
+`path_frames` of velocities. Matching windows average over space; their amplitude gain is a Dataset over
 (direction, k) with ``gain_z``, ``gain_u``, ``gain_v``, ``gain_w``, NaN where it is unknown. The measurement
 predicts it and stores it in the cube; users can give their own.
 """

@@ -65,8 +65,8 @@ class ProbeFit:
 
 def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
     """Compare every probe inside the field with the elevation z (time, y, x) at the position of the probe.
-    The best lag is that of the largest correlation, positive or negative, among lags at which half of the
-    record overlaps. Probes with fewer than 40 samples are left out."""
+    The best lag is that of the largest correlation, positive or negative, among lags where the probe covers
+    half of the record. Probes with fewer than 40 samples are left out."""
     time = z["time"].values.astype(float)
     if time.size < MIN_SAMPLES:
         return []
@@ -101,7 +101,7 @@ def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
 
 def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: float) -> ProbeFit | None:
     """Return the fit of a probe, `values` at times `clock`, to the elevation `here` of the cube at `time`.
-    None if they overlap too little."""
+    None if the probe covers less than half of the record at every lag."""
     lags, found = correlation(here, values, int(MIN_OVERLAP * time.size))
     if not lags.size:
         return None

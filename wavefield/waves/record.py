@@ -44,7 +44,7 @@ def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
 
 def fill_error(block: Array) -> float:
     """Return the standard deviation of the error of `fill` at the middle step of a block; NaN if unknown.
-    Measured nodes half a field away from the holes are removed, filled and compared."""
+    Measured values half the width of the block away from the holes are removed, filled and compared."""
     holes = ~np.isfinite(block)
     ny, nx = holes.shape[1:]
     elsewhere = np.roll(holes, (ny // 2, nx // 2), (1, 2))  # at all steps, since a hole may last

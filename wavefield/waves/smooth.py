@@ -76,7 +76,7 @@ class PlaneWaves:
         self.response = np.concatenate([wave[:, None] * turning, constant], axis=2)
 
     def fields(self, unknowns: Array) -> Array:
-        """Return the fields z, u, v and rate of rise, (fields, times, ny, nx), for given unknowns (2 n,)."""
+        """Return the fields z, u, v and rate of rise, (4, times, ny, nx), for given unknowns (2 n,)."""
         return self._sums(self.response, unknowns)
 
     def slopes(self, unknowns: Array, time: int) -> Array:
@@ -84,7 +84,7 @@ class PlaneWaves:
         return self._sums(self._slope_response(time)[:, None], unknowns)[:, 0]
 
     def _slope_response(self, time: int) -> NDArray[np.complex128]:
-        """Return the response of z_x and z_y to each unknown, (2, unknowns); `time` is an index."""
+        """Return the response of z_x and z_y to each unknown, (2, n); `time` is an index."""
         k = np.stack([np.append(self.kx, 0.0), np.append(self.ky, 0.0)])
         return np.asarray(1j * k[:, self.vector] * self.response[0, time])
 
@@ -106,7 +106,7 @@ class PlaneWaves:
         return np.concatenate([out.real, -out.imag])
 
     def products(self, mask: Mask) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Return the sums of conj(E_k) E_l and of E_k E_l over the nodes of `mask`, (unknowns, unknowns).
+        """Return the sums of conj(E_k) E_l and of E_k E_l over the nodes of `mask`, each (n, n).
         E_k is the plane wave exp(i k . x) of unknown k, or 1 for a constant."""
         real, imaginary = np.split(self.basis[mask.ravel()], 2, axis=1)
         waves = real + 1j * imaginary
@@ -117,7 +117,7 @@ class PlaneWaves:
         self, products: tuple[NDArray[np.complex128], ...], variance: Sequence[float] | Array
     ) -> Array:
         """Return the normal matrix of the least-squares fit, (2 n, 2 n), for n unknowns.
-        `products` is the result of the method of that name; `variance` (fields,) is that of the noise."""
+        `products` is the result of the method of that name; `variance` (4,) is that of the fields' noise."""
         q = self.response.reshape(FIELDS, self.times.size, -1) / np.sqrt(np.asarray(variance))[:, None, None]
         q = q.reshape(-1, self.vector.size)
         hermitian, symmetric = products[0] * (q.conj().T @ q), products[1] * (q.T @ q)
@@ -188,7 +188,7 @@ class Learned:
 
 
 def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array) -> Learned:
-    """Return spectrum and noise, from sample windows (fields, times, ny, nx) that are 0 outside `mask`.
+    """Return spectrum and noise, from sample windows (4, times, ny, nx) that are 0 outside `mask` (ny, nx).
     In each round of expectation maximisation, the variance of a ring becomes the mean square of its
     amplitudes plus their posterior variance. ``variance`` (4,) is the noise variance that the cube gives."""
     products = waves.products(mask)

@@ -44,7 +44,7 @@ def segment_count(steps: int, segment: int) -> int:
 
 def choose_segment(steps: int) -> int:
     """Return the default length of a segment for a run of `steps` steps: a quarter, from 64 to 512.
-    It is rounded down to an even number with a fast Fourier transform."""
+    It is rounded down to an even number whose Fourier transform is fast."""
     longest = min(DEFAULT_SEGMENT, max(steps // 4, min(64, steps)))
     even = longest - longest % 2
     while even > 4 and fft.next_fast_len(even // 2, real=True) != even // 2:
