@@ -79,8 +79,8 @@ def make_chunk(
 
 
 def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> Frame:
-    """Read a frame, and give it a fault if it equals the frame before it, whose image is ``before``.
-    Without ``before``, that image is read, too."""
+    """Read a frame, and give it a fault if its image is identical to that of the frame before it.
+    The latter is ``before``; if that is None, it is read, too."""
     frame = source.read(index)
     if frame.image is not None and index:
         before = source.read(index - 1).image if before is None else before

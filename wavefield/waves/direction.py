@@ -270,7 +270,7 @@ def above_noise(
     density: xr.DataArray, found: xr.Dataset, water: tuple[float, float], current: tuple[float, float]
 ) -> NDArray[np.bool_]:
     """Return a mask (frequency,): true where the grid resolves waves that exceed three times the noise.
-    `found` is a result of `directions` for the spectrum `density`, of which only ``frequency`` is used."""
+    `found` is a result of `directions` for the spectrum `density`; only its ``frequency`` is used."""
     spectrum = PlaneSpectrum.of(density, water)
     frequency = found["frequency"].values
     centres = wavenumber(2 * np.pi * frequency, *water)

@@ -290,7 +290,7 @@ PLANE = {"omega", "ky", "kx"}
 
 
 def plane_of(field: str, segment: int | None = None) -> Convert:
-    """Return a converter, for `takes`, of a spectrum, field or cube to its E(omega, ky, kx).
+    """Return a function, for `takes`, that converts a spectrum, field or cube to E(omega, ky, kx).
     Of a cube, it computes the spectrum of the variable `field`, with `segment` steps in a Welch segment."""
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:

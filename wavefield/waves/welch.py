@@ -63,7 +63,7 @@ def degrees_of_freedom(segments: float) -> float:
 
 
 def interval(dof: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-    """Return two factors, shaped like `dof`: the low and high limit of a 95 % interval over the spectrum."""
+    """Return the low and high limit of a 95 % interval, as factors of the spectrum, shaped like `dof`."""
     dof = np.asarray(dof, float)
     unique, index = np.unique(dof, return_inverse=True)  # many cells have the same number
     quantiles = 1 - CHANCE / 2, CHANCE / 2  # of chi-squared
@@ -94,7 +94,8 @@ Sums = dict[str, np.ndarray]  # transforms of half a segment, or sums over segme
 
 
 def segment_length(record: Record, segment: int | None) -> int:
-    """Return the steps of a segment, by default `choose_segment`; CubeError if odd, below 8 or too long."""
+    """Return the number of steps in a segment, by default that of `choose_segment` for the longest run.
+    CubeError if a given number is odd, below 8 or above that of the longest run."""
     longest = record.longest
     if segment is None:
         segment = choose_segment(longest)
