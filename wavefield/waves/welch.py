@@ -95,7 +95,7 @@ Sums = dict[str, np.ndarray]  # transforms of half a segment, or sums over segme
 
 def segment_length(record: Record, segment: int | None) -> int:
     """Return the number of steps in a segment, by default that of `choose_segment` for the longest run.
-    CubeError if a given number is odd, below 8 or above that of the longest run."""
+    CubeError if it is odd, below 8 or above that of the longest run."""
     longest = record.longest
     if segment is None:
         segment = choose_segment(longest)
