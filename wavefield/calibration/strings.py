@@ -194,8 +194,8 @@ def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
 
 def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
     """Fit a uniform disc at each node; return quality, radius and grey of each, all (n,).
-    The quality is explained over residual brightness; radii are in units of the distance between nodes.
-    `excess` and `usual` are the results of `_circles`."""
+    The quality is the rms brightness that the disc explains over the rms of the rest; 0 if the disc is faint.
+    Radii are in units of the distance between nodes. `excess` and `usual` are the results of `_circles`."""
     noise = np.median(np.abs(excess[:, -10:])) + 1e-3
     disc = np.clip((DISC_RADII[:, None] - CIRCLES) / 0.05 + 0.5, 0, 1)[..., None]
     disc = disc * np.clip(1 - usual / usual.max(), 0, 1)

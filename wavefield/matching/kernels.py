@@ -7,7 +7,7 @@ Three rules keep these loops fast (LLVM vectorises them) and numba's cache corre
 * The constants below are literals. Numba compiles them into its cache and would not notice that they were
   changed in another file. Loops in other files take them as default arguments, which the cache does compare.
 
-Names: a is the first image, b the second; s and d are a row of a smoothed by the spline along y, and its
+Names: a is the first image, b the second; s is a row of image a, smoothed by the spline along y, and d its
 derivative along y; `by` is the number of a row of blocks. In a residual, both images are smoothed by the
 quintic B-spline without prefilter.
 """
@@ -487,7 +487,7 @@ def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.i
 @njit
 def bead_blocks(image: Array, out: Array) -> None:
     """Write to out (h, w), for each pixel, the block that contains the brightest point of its bead.
-    Blocks are numbered row by row. The border of `image` must be darker than the image."""
+    Blocks are numbered row by row. `image` has a border of PAD px, whose inner edge must be darker."""
     h, w = out.shape
     for y in range(h):
         r = y + PAD

@@ -131,7 +131,8 @@ def _over_gain(
     fields: Sequence[Float], spectrum: Float, noise: Float, mean: Callable[[Float], Float]
 ) -> tuple[Float, Float]:
     """Return the power of MAP fields (c, my, mx) and of their noise, both divided by the mean squared gain.
-    `noise` is N of each mode; `mean` averages an array over the modes of each ring or sector."""
+    `noise` is N = 1 / (F^2 A) of each mode, and the gain S / (S + N) with the `spectrum` S. `mean` averages
+    an array over the modes of each ring or sector."""
     power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
     spectrum = np.broadcast_to(spectrum, power.shape)
     squared_gain = np.square(spectrum / (spectrum + noise))

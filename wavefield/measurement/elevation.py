@@ -95,9 +95,10 @@ def map_elevation(
     whole_beads: bool,
     noise_across: bool = True,
 ) -> ElevationEstimate:
-    """Estimate the most probable elevation (MAP) from the matches of all pairs and `blocks`, from `combine`.
-    With parallax dD, score s and Hessian H of a block for displacements become -dD . s and dD H dD for z. The
-    noise is that across the sight lines, or, if not `noise_across`, of the scores for z. `pixel` is in m."""
+    """Estimate the most probable elevation (MAP) from the matches of all pairs; `blocks` is from `combine`.
+    With parallax dD, px per m, the score s and Hessian H of a block give -dD . s and dD H dD for z. The noise
+    is that across the sight lines, or of the scores for z if not `noise_across`. `pixel` is the side of a
+    rectified pixel, m. With `whole_beads`, a bead counts in one block only (`scores_at`)."""
     z = blocks.filled
     edges, waves = modes.split(z)
     pairs = [_PairScores(m, pixel) for m in matches]

@@ -103,9 +103,10 @@ def removed_by_prior(estimate: StepEstimate) -> Float:
 
 
 def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int, times: Float) -> Float:
-    """Return the variance lost between the frames, (4, ny, nx), m^2: sum over the waves of S |1 - K(p)|^2.
-    S is the variance of a wave, p its phase per frame, K the gain of z; for dx, dy, dz see `lost_by_paths`,
-    with the kind of paths `path_frames`. `times` (6,) of the frames are in frame intervals from mid-time."""
+    """Return the variance of waves that interpolation between frames does not follow, (4, ny, nx), m^2.
+    For z it is `lost_by_elevation` plus `changed_waves`; for dx, dy, dz `lost_by_paths` plus `changed_waves`,
+    times WAVE_VARIANCES. `path_frames` is the kind of paths; `times` (6,) are in frame intervals from
+    mid-time."""
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     for count in np.unique(estimate.mid_time.frames).tolist():
         out[0][estimate.mid_time.frames == count] = lost_by_elevation(waves, count, times)

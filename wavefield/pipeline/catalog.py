@@ -98,9 +98,9 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
 
 def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> None:
-    """Make a link to the folder of ``cube`` in the folder ``place`` of a run, if that cube exists.
-    The link is named after the hash of the cube's recipe. This hash is also added, in place, to ``data``, the
-    content of the catalog."""
+    """In the folder ``place`` of a run, make a link to the folder that holds ``cube``, if that cube exists.
+    The link is named after the hash of the cube's recipe. The hash also becomes an option in ``data``, the
+    content of the catalog, which is modified."""
     from wavefield.store.read import is_cube, open_group
 
     if not is_cube(cube):

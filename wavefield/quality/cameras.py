@@ -225,8 +225,8 @@ class ConsistencyTable:
 
 
 def score(found: Sequence[PairConsistency]) -> float:
-    """Return the fraction of matched patches, mean over ``found`` (one element per frame) of two cameras.
-    It is 0 if eps_y scatters as much as that of wrong matches."""
+    """Return the mean fraction of the patches of two cameras that match; ``found`` has one element per frame.
+    It is 0 if the eps_y of the patches scatters as much as that of wrong matches."""
     scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= MIN_PATCHES]
     if not scatter or float(np.median(scatter)) >= MAX_SCATTER:
         return 0.0
@@ -390,7 +390,8 @@ _CAMERA_FAULTS = {
 def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
     """Find by trial why the camera ``name`` agrees with none of ``partners``, and return a remark on it.
     At two frames its images are flipped, used as those of another camera, or taken up to two frames earlier
-    or later. The best trial shows the cause if at least a fraction ``level`` of the patches match in it."""
+    or later; the record has ``count`` frames. The best trial shows the cause if at least a fraction ``level``
+    of the patches match in it."""
     frames = table.frames[:2]
     tried: dict[tuple[str, str, str], list[PairConsistency]] = {}  # by kind, detail and partner
     for partner in partners:

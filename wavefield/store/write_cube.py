@@ -66,7 +66,7 @@ def write_chunk(
 
 
 def clear_steps(path: Path, steps: Sequence[int]) -> None:
-    """Mark those of `steps` (indices) that were measured as discontinuous, and clear their values.
+    """Clear the values of those of `steps` (indices) that were measured, and mark them as discontinuous.
     Cleared values are NaN, and 0 in ``quality``. Steps that are not measured or have failed stay as they are.
     The status of all steps is written before any value, so that the next run can finish the work after an
     interruption."""

@@ -107,8 +107,8 @@ def compute_ready(
 
 
 def _computed(job: tuple[Callable[..., Any], Sequence[object], str]) -> Noted:
-    """Return the value and notes of a product from its function, its inputs, and the first words of a note.
-    If the function raises CubeError, the note gives the reason; without first words, the error is raised."""
+    """Compute a product; `job` holds its `compute`, the inputs, and its `without` (see `WaveProduct`).
+    On CubeError, the note is `without` and the reason; if `without` is empty, the error is raised."""
     compute, inputs, without = job
     with np.errstate(all="ignore"):
         try:

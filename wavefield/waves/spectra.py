@@ -108,6 +108,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     The integral of a spectrum is about the variance of its field.
 
     >>> import wavefield as wf
+    >>> from wavefield.waves.spectra import total  # the integral of a spectrum
     >>> z = wf.open_cube("sea.zarr").z
     >>> E = wf.spectrum(z).E
     >>> E.dims, round(float(total(E) / z.var()), 1)
