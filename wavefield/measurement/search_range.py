@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ Images = Mapping[str, NDArray[Any] | None]
 Range = tuple[float, float]
 Read = Callable[[str, int], NDArray[Any] | None]  # read(camera, frame): an image, or None
 
+SEARCHED_STEPS = 2  # sample steps in which search ranges are found, if no model is given
 MAX_EPIPOLAR_PX = 10.0  # largest epipolar error of a patch, rectified px
 SEARCH_FACTOR = 5.0  # elevations searched here, over the geometry's range
 MAX_FILLED_RANGE = 0.6  # widen the range if sample frames fill more of it; a long record would exceed it
@@ -170,8 +172,9 @@ def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, Firs
 
 def search_widened(pairs: Iterable[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
     """Return the geometry with search ranges that suit some frames; the same object if they suffice.
-    `pairs` are both frames, by camera, of sample steps. Ranges that the user has set do not change."""
-    steps = list(pairs)
+    `pairs` are both frames, by camera, of sample steps, of which the first two are searched. Ranges that the
+    user has set do not change."""
+    steps = list(islice(pairs, SEARCHED_STEPS))
 
     def read(name: str, frame: int) -> NDArray[Any] | None:
         image = steps[frame // 2][frame % 2].get(name)
