@@ -34,11 +34,6 @@ def test_the_largest_rectangle_is_full_and_none_is_larger(mask):
     assert (y1 - y0) * (x1 - x0) == best
 
 
-def under_the_window(spectrum):
-    """E(omega) as it is where nodes are missing."""
-    return wv.E_omega(spectrum.drop_vars("E_nodes", errors="ignore"))
-
-
 def test_empty_edges_are_cut_off_and_single_holes_filled(sea):
     holed = sea.copy(deep=True)
     holed["w"][:, :4] = np.nan
@@ -145,7 +140,7 @@ def test_nodes_missing_at_random_cost_no_step_and_leave_the_spectrum(fraction):
     assert record.shape == (48, 64)
     assert record.runs == ((0, 160),)
     assert record.holes == int(missing.sum())
-    spectra = [under_the_window(wv.komega(z, segment=80)) for z in (whole, holed)]
+    spectra = [wv.E_omega(wv.komega(z, segment=80)) for z in (whole, holed)]
     ratio = spectra[1].E / spectra[0].E
     waves, floor = ((ratio.frequency > a) & (ratio.frequency < b) for a, b in ((1.2, 3.4), (5, 7)))
     assert float(abs(ratio - 1).where(waves).max()) < 2e-3
@@ -162,7 +157,7 @@ def test_lines_in_which_large_moving_holes_may_show_are_not_valid():
             y, x = (int(a + b * t) % (n - 8) for a, b, n in zip(first, step, sea.shape[1:]))
             missing[t, y : y + 8, x : x + 8] = True
     holed = cube.where(~xr.DataArray(missing, dims=cube.z.dims))
-    whole, found = (under_the_window(wv.komega(c.z, segment=80)) for c in (cube, holed))
+    whole, found = (wv.E_omega(wv.komega(c.z, segment=80)) for c in (cube, holed))
     ratio = found.E / whole.E
     assert float(ratio.where(found.frequency > 4).max()) > 5
     assert float(ratio.where(found.valid & (found.frequency > 1)).max()) < 2

@@ -55,10 +55,7 @@ def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
 def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
     """Return a spectrum as ``E`` with its ``dof``, at least 1, and its interval, ``low`` and ``high``."""
     dof = dof.clip(min=1)
-    low, high = (
-        xr.apply_ufunc(lambda d, i=i: interval(d)[i], dof, dask="parallelized", output_dtypes=[float])
-        for i in (0, 1)
-    )
+    low, high = (dof.copy(data=limit) for limit in interval(dof.values))
     return annotate(xr.Dataset({"E": energy, "dof": dof, "low": low, "high": high}))
 
 

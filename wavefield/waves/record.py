@@ -226,7 +226,7 @@ def chunk_steps(field: xr.DataArray) -> int:
 
 def all_finite(block: np.ndarray) -> bool:
     """Whether all values are finite. The sum is tested, which is faster than a test of each value."""
-    return bool(np.isfinite(block.sum(dtype=np.float64)))
+    return bool(np.isfinite(block.sum()))
 
 
 def outside_holes(finite: np.ndarray) -> np.ndarray:

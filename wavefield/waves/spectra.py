@@ -160,7 +160,6 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
         ``dof``; ``low`` and ``high``, factors from E to the limits of its 95 % interval; ``valid``, a mask of
         reliable values. ``dof_omega`` and ``dof_k``, those of E(omega) and E(k). Over k: ``coverage``, the
         fraction of each ring of |k| that the grid samples, and ``cells``, the independent cells in it.
-        If no node is missing, ``E_nodes`` (omega), the mean of the spectra of all nodes.
 
     Raises
     ------
@@ -179,16 +178,25 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
     >>> found.E.dims, int(found.segments)
     (('omega', 'k'), 7)
     """
+    return _komega(field, segment, record)
+
+
+def _komega(
+    field: xr.DataArray, segment: int | None = None, record: Record | None = None, nodes: bool = False
+) -> xr.Dataset:
+    """Return E(k, omega) as `komega` does. With `nodes`, unless some are missing, add ``E_nodes`` (omega),
+    the mean of the spectra of all nodes, and the degrees of freedom of that mean as ``dof_omega``."""
     welch = Welch.of(field, segment, record)
     table = welch.table
     # interpolated nodes near the edges are less accurate; only the spatial window gives them little weight
-    summed = segment_sums({"f": field}, Requested(("f",), nodes=not welch.record.holes), welch)
+    nodes = nodes and not welch.record.holes
+    summed = segment_sums({"f": field}, Requested(("f",), nodes=nodes), welch)
     freedom = ring_freedom(summed, "f", welch)
     both = ("omega", "k")
     energy = xr.DataArray((summed["f"][0] * welch.ring_density).T, dims=both)
     out = with_interval(energy, xr.DataArray(freedom["both"].T, dims=both))
     out["dof_omega"], out["dof_k"] = ("omega", freedom["omega"]), ("k", freedom["k"])
-    if not welch.record.holes:
+    if nodes:
         out["E_nodes"] = ("omega", summed["nodes"] * welch.node_density)
     out = out.assign(welch.ring_variables).assign_coords(omega_coords(welch.omega) | k_coords(table.k))
     added = filled_density(welch.record, field)
@@ -210,7 +218,12 @@ def _attrs_of_sum(given: xr.DataArray | xr.Dataset, axis: str) -> dict[str, Any]
     return TABLE[f"{axis}/E"].of(given.attrs["field"], density_units(given.attrs["field_units"], axis))
 
 
-@takes(a_komega)
+def _over_nodes(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
+    """Return what `a_komega` returns; the spectrum of a field then includes ``E_nodes``."""
+    return (_komega(given, nodes=True), {}) if is_field(given) else a_komega(given, name)
+
+
+@takes(_over_nodes)
 def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     """Frequency spectrum E(omega) of a field, with its 95 % interval.
 
@@ -232,8 +245,8 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    E is the mean of the spectra of all nodes. If nodes are missing, it is the integral of E(k, omega) over k,
-    which has up to twice the variance.
+    For a field, E is the mean of the spectra of all nodes. If nodes are missing, or for a result of `komega`,
+    it is the integral of E(k, omega) over k. Its spatial window makes the variance up to twice as large.
 
     Examples
     --------
