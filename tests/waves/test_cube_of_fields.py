@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 import xarray as xr
-from waves_cases import axes, linear_cube, random_waves
+from waves_cases import axes, fused_spectra, linear_cube, random_waves
 
 import wavefield as wf
 from wavefield import waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.elevation import fused_spectra
 
 DIMS = ("time", "y", "x")
 

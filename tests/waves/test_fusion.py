@@ -3,11 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from waves_cases import PeriodicSea, linear_cube, random_waves
+from waves_cases import PeriodicSea, fused_spectra, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import StoreError
-from wavefield.waves.elevation import fused_spectra
 from wavefield.waves.record import whole_record
 
 SIGMA_Z, SIGMA_DZ = 0.00057, 0.00028

@@ -1,11 +1,10 @@
 """Seas with a direction, a current and gaps: what a referee would try."""
 
 import pytest
-from waves_cases import GaussianSea, linear_cube, random_waves
+from waves_cases import GaussianSea, fused_spectra, linear_cube, random_waves
 
 import wavefield.waves as wv
 from wavefield.errors import CubeError
-from wavefield.waves.elevation import fused_spectra
 
 THIN = {"width": 0.06, "n": 96, "dx": 0.03, "band": (1.2, 4.2)}  # a ridge thinner than a cell
 

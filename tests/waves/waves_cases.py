@@ -5,6 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from wavefield.water import water_of
+from wavefield.waves.cross import label
+from wavefield.waves.current import current_used
+from wavefield.waves.dispersion_fit import dispersion_group
+from wavefield.waves.elevation import NAMES, PAIRS, PLANES, fused_group
+from wavefield.waves.gains import read_gain
+from wavefield.waves.spectra import density, plane_density
+from wavefield.waves.sums import Requested, segment_sums
+from wavefield.waves.welch import Welch
+
 G, GAMMA = 9.81, 7.28e-5
 
 
@@ -266,3 +276,14 @@ def second_order_sea(seed, n, lowest, highest, sigma, spread):
     pick = rng.choice(k.size, n, replace=False, p=p / p.sum())
     a = sigma * np.sqrt(2 / n) * np.exp(2j * np.pi * rng.random(n))
     return Sea(kx[pick], ky[pick], a, depth, bound=n)
+
+
+def fused_spectra(cube, *, gain=None, depth=None, current=None, segment=None, record=None):
+    """Return the elevation spectra of `wavefield.analyze`, without its other products."""
+    water = water_of(cube.attrs, depth)
+    gain = None if gain is None else read_gain(gain)
+    welch = Welch.of(cube, segment, record)
+    sums = segment_sums(cube, Requested(NAMES, PAIRS, ("w", *PLANES)), welch)
+    w = plane_density(xr.Variable(("omega", "ky", "kx"), density(sums["map w"], welch)), "", "1", welch)["E"]
+    used = current_used(xr.Dataset() if current else dispersion_group(w, welch.table.k, *water), current)
+    return fused_group(label(sums, NAMES, PAIRS, welch), sums, welch, w, used, gain, *water)

@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from wavefield.variables import annotate
-from wavefield.water import dispersion, water_of, wavenumber
-from wavefield.waves.cross import checked_fields, label
-from wavefield.waves.current import CurrentUsed, current_used
-from wavefield.waves.dispersion_fit import dispersion_group
+from wavefield.water import dispersion, wavenumber
+from wavefield.waves.current import CurrentUsed
 from wavefield.waves.dispersion_points import Water
 from wavefield.waves.dof import with_interval
 from wavefield.waves.gains import (
@@ -26,15 +24,12 @@ from wavefield.waves.gains import (
     is_predicted,
     noise_of_displacement,
     path_factor,
-    read_gain,
     ring_gain,
     with_directions,
 )
-from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import WaveProduct, register
-from wavefield.waves.record import Record
-from wavefield.waves.spectra import density, plane_density
-from wavefield.waves.sums import MIN_AMPLITUDE, Requested, segment_sums
+from wavefield.waves.spectra import density
+from wavefield.waves.sums import MIN_AMPLITUDE
 from wavefield.waves.welch import MIN_OVER_FILLED, Welch, inner, k_coords, omega_coords
 
 Array = NDArray[Any]
@@ -297,7 +292,7 @@ def _freedom(
     return np.asarray(dof / (1 / kept + 0.5 * gain_variances * dof))
 
 
-def _fused(
+def fused_group(
     ring: xr.Dataset,
     ring_sums: dict[str, Array],
     welch: Welch,
@@ -307,7 +302,12 @@ def _fused(
     depth: float,
     gamma: float,
 ) -> xr.Dataset:
-    """Return the result of `fused_spectra` from sums of an analysis; `density_w` is E(omega, ky, kx)."""
+    """Return elevation spectra by the four `METHODS`, and the noise of z and w, from sums of an analysis.
+    ``Ez`` (source, omega), m2 s, is from z (stereo), from w, from their cross spectrum S_zw (cross), and from
+    both with weights by their inverse noise in each cell (fusion). The noises S_zz - Re S_zw and S_ww -
+    Re S_zw of elevation spectra are fitted in each ring of k as white noise of z and of w dt. With gains H,
+    the elevation spectrum is S_zw / (H_z H_w). On a current U, w is integrated at omega - k . U, which is
+    not accurate in the five lowest lines. `density_w` is E(omega, ky, kx) of w."""
     zw = density(ring_sums.pop("map z*w"), welch)  # frees memory: no other product needs it
     water = depth, gamma
     spectra = _elevations(ring, welch, density_w, zw, used.velocity, water)
@@ -363,33 +363,6 @@ def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
     return np.asarray(_smooth((energy * shorter).sum(axis=1)) > 0.5 * total)
 
 
-@takes(a_cube)
-def fused_spectra(
-    cube: xr.Dataset,
-    *,
-    gain: xr.Dataset | None = None,
-    depth: float | None = None,
-    current: tuple[float, float] | None = None,
-    segment: int | None = None,
-    record: Record | None = None,
-) -> xr.Dataset:
-    """Return elevation spectra of a cube by the four `METHODS`, and the noise of z and w.
-    ``Ez`` (source, omega), m2 s, is from z (stereo), w, their cross spectrum S_zw (cross), and both with
-    weights by their inverse noise in each cell (fusion). The noises S_zz - Re S_zw and S_ww - Re S_zw of
-    elevation spectra are fitted in each ring of k as white noise of z and of w dt. With gains H, the
-    elevation spectrum is S_zw / (H_z H_w). On a current U, w is integrated at omega - k . U, which is not
-    accurate in the five lowest lines."""
-    water = water_of(cube.attrs, depth)
-    gain = None if gain is None else read_gain(gain)
-    cube = checked_fields(cube, NAMES)
-    welch = Welch.of(cube, segment, record)
-    sums = segment_sums(cube, Requested(NAMES, PAIRS, ("w", *PLANES)), welch)
-    w = plane_density(xr.Variable(("omega", "ky", "kx"), density(sums["map w"], welch)), "", "1", welch)["E"]
-    fit = xr.Dataset() if current else dispersion_group(w, welch.table.k, *water)
-    used = current_used(fit, current)
-    return _fused(label(sums, NAMES, PAIRS, welch), sums, welch, w, used, gain, *water)
-
-
 def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str, float]) -> xr.Dataset:
     """Return the elevation spectra by method (`METHODS`) for the group `spectra` of `analyze`.
     `filled` is the error of E(omega) of z and of w by interpolated nodes. A method is not valid at
@@ -407,7 +380,7 @@ register(
     WaveProduct(
         "fused",
         ("ring", "ring_sums", "welch", "density_w", "current", "gain", "depth", "gamma"),
-        _fused,
+        fused_group,
         pairs=PAIRS,
         planes=PLANES,
     ),

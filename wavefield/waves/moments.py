@@ -232,7 +232,7 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
     """Return `statistics` with peak frequency (Hz), peak wavenumber (rad/m), steepness and their ``_std``.
-    The peak is that of the elevation spectrum from z in `fused`, a result of `fused_spectra`."""
+    The peak is that of the elevation spectrum from z in `fused`, a result of `elevation.fused_group`."""
     stereo = fused.sel(source="stereo")  # integrated w has no lowest lines, in which the peak may be
     lines = inner(fused.sizes["omega"])
     peak, std = peak_and_std(stereo["Ez"].values, lines, stereo["dof_Ez"].values, fused["omega"].values)
@@ -255,7 +255,7 @@ def _statistics_group(
     moments: xr.Dataset, fused: xr.Dataset, spectra: xr.Dataset, welch: Welch, depth: float, gamma: float
 ) -> Noted:
     """Return the group `statistics` of an analysis, with notes on outliers and on a record that is too short.
-    `moments` is from `label`, `fused` from `fused_spectra`, and `spectra` the group of that name."""
+    `moments` is from `label`, `fused` from `elevation.fused_group`, and `spectra` the group of that name."""
     notes = []
     outliers = zip(moments["quantity"].values, moments["n_outliers"].values)
     found = {str(q): int(n) for q, n in outliers if n}
