@@ -339,9 +339,9 @@ def _directions(
         levels[i] = shares @ energy.sum(axis=0).ravel() * to_level
         if dof is not None:
             covariances = sector_covariances(shares, energy * np.sqrt(packets), dof)
-            covariances *= np.outer(to_level, to_level)
+            covariances *= RIDGE_CORRELATION * np.outer(to_level, to_level)
             degrees[i] = sector_freedom(levels[i], covariances)
-            stds[:, i] = harmonic_stds(levels[i], RIDGE_CORRELATION * covariances, theta)
+            stds[:, i] = harmonic_stds(levels[i], covariances, theta)
     found = _label(frequency, centres, levels, degrees, cells, stds)
     clear = xr.DataArray(above_noise(density, found, water, current), dims="frequency")
     known = {name: found[name].where(clear) for name in found if name != "energy"}

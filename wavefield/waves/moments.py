@@ -19,7 +19,7 @@ from wavefield.waves.dof import dof_of_all_nodes, hann_correlation, sum_freedom
 from wavefield.waves.inputs import a_cube, takes
 from wavefield.waves.products import Noted, WaveProduct, register
 from wavefield.waves.record import Record, find_record
-from wavefield.waves.spectra import E_omega, komega
+from wavefield.waves.spectra import E_omega, ring_spectrum
 from wavefield.waves.welch import Reader, Welch, add_sums, inner
 
 Array = NDArray[Any]
@@ -215,7 +215,7 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
     out = label(sums, scales, record.dt)
     peak = np.nan, np.nan
     try:
-        both = komega(cube["z"], record=record)
+        both = ring_spectrum(cube["z"], record=record, nodes=True)
     except CubeError:  # shorter than a segment
         out = out.assign({f"{name}_std": ((), np.nan) for name in _INTEGRALS})
     else:

@@ -178,10 +178,10 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
     >>> found.E.dims, int(found.segments)
     (('omega', 'k'), 7)
     """
-    return _komega(field, segment, record)
+    return ring_spectrum(field, segment, record)
 
 
-def _komega(
+def ring_spectrum(
     field: xr.DataArray, segment: int | None = None, record: Record | None = None, nodes: bool = False
 ) -> xr.Dataset:
     """Return E(k, omega) as `komega` does. With `nodes`, unless some are missing, add ``E_nodes`` (omega),
@@ -220,7 +220,7 @@ def _attrs_of_sum(given: xr.DataArray | xr.Dataset, axis: str) -> dict[str, Any]
 
 def _over_nodes(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return what `a_komega` returns; the spectrum of a field then includes ``E_nodes``."""
-    return (_komega(given, nodes=True), {}) if is_field(given) else a_komega(given, name)
+    return (ring_spectrum(given, nodes=True), {}) if is_field(given) else a_komega(given, name)
 
 
 @takes(_over_nodes)
