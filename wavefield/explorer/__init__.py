@@ -1,1 +1,1 @@
-"""Interactive pages, served locally: a cube, or an experiment while its cameras write."""
+"""Web pages, served on this computer, that show a cube, or an experiment while its cameras record."""

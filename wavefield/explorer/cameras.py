@@ -34,8 +34,8 @@ def mask_outlines(covered: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
 
 
 class MaskPanel:
-    """The tab of masks: it shows the lines of the experiment file for masks whose corners the user clicks.
-    `changed` is called after every change of the corners."""
+    """The tab where the user makes masks: polygons, drawn by clicks, that exclude water or parts of images.
+    It shows the lines to add to the experiment file. Every change of the corners calls `changed`."""
 
     def __init__(self, changed: Callable[[], None]) -> None:
         self._changed = changed
@@ -55,7 +55,8 @@ class MaskPanel:
             self._keep([*self._corners, (image, corner)])
 
     def closed_line(self, image: str) -> dict[str, list[float]]:
-        """Return the mask of `image`, a camera or `WATER`, as a closed line: corners as lists "x" and "y"."""
+        """Return the corners of the mask in `image`, a camera or `WATER`, as lists "x" and "y".
+        The first corner is repeated at the end, which closes the polygon."""
         corners = [corner for name, corner in self._corners if name == image]
         line = [*corners, *corners[:1]]
         return {"x": [float(x) for x, _ in line], "y": [float(y) for _, y in line]}
@@ -74,7 +75,7 @@ class MaskPanel:
 
 def mask_lines(polygons: dict[str, list[Corner]]) -> str:
     """Return the entry `mask` of an experiment file, as YAML text.
-    `polygons` maps each camera to (column, row) of its corners, px, and `WATER` to their (x, y), metres."""
+    `polygons` maps each camera to mask corners (column, row), px, and `WATER` to corners (x, y), metres."""
     lines = ["mask:"]
     for name, corners in polygons.items():
         digits = 4 if name == WATER else 1  # 0.1 mm, 0.1 px
@@ -90,8 +91,9 @@ Image = NDArray[Any]
 
 
 def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
-    """Return an 8-bit copy of an image (row, column) with at most 1000 px along each side, and the factor n.
-    Its pixels are means of n x n pixels. The 0.5 % and 99.5 % quantiles of grey levels become 0 and 255."""
+    """Return an 8-bit copy of an image (row, column) with at most 1000 px along each side, and a factor n.
+    Each pixel of the copy is the mean of n x n pixels. Grey levels are scaled: their 0.5 % and 99.5 %
+    quantiles become 0 and 255."""
     factor = max(1, -(-max(image.shape) // MAX_SCREEN_PX))
     h, w = (n - n % factor for n in image.shape)
     small = np.asarray(image[:h, :w], np.float32)
@@ -102,14 +104,15 @@ def shrink(image: Image) -> tuple[NDArray[np.uint8], int]:
 
 
 def keep_pixels_square(made: figure) -> None:
-    """Let the browser adapt the axes of a figure to the figure's size, so that image pixels are square."""
+    """Make the browser adjust the axis ranges of a figure to its size, so that image pixels are square."""
     square = CustomJS(args={"made": made}, code=parts.asset("square.js"))
     for changed in ("inner_width", "inner_height", "tags"):
         made.js_on_change(changed, square)
 
 
 def fit_image(made: figure, shape: tuple[int, ...]) -> None:
-    """Set a figure's axes to an image of `shape` (rows, columns), unless its last image had that shape."""
+    """Set the axis ranges of a figure to an image of `shape` (rows, columns).
+    If the last image had the same shape, leave them, since the user may have zoomed."""
     height, width = shape
     if made.tags != [width, height]:  # else the user may have zoomed
         made.x_range.update(start=0, end=width, reset_start=0, reset_end=width)
@@ -118,8 +121,8 @@ def fit_image(made: figure, shape: tuple[int, ...]) -> None:
 
 
 def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
-    """Show an image (row, column) through `source`, the figure's data source, on axes in px of the camera.
-    Return n: each pixel on the screen is the mean of n x n pixels of the image."""
+    """Show a camera image (row, column) on the figure `made`, with axes in px, through the figure's `source`.
+    Return n: each displayed pixel is the mean of n x n pixels of the image."""
     fit_image(made, image.shape)
     small, factor = shrink(image)
     h, w = small.shape
@@ -131,9 +134,10 @@ def show_frame(made: figure, source: ColumnDataSource, image: Image) -> int:
 def visible_nodes(
     camera: Camera, x: NDArray[np.floating], y: NDArray[np.floating], fields: Fields, dt: float
 ) -> Fields:
-    """Return the n grid nodes whose water a camera sees in the first frame of a step, as arrays (n,) by name.
-    Given are nodes x, y, m, and z, u, v, w, quality midway in the step, all (ny, nx); `dt` between frames, s.
-    Names: x, y; kind (`quality_kind`); X, Y, the column and row of the water in the first frame, px."""
+    """Return the n grid nodes that a camera sees in the first of the two frames of a step, as arrays (n,).
+    Nodes x, y (m) and `fields` z (m), u, v, w (m/s) and quality, midway in time, have the shape (ny, nx);
+    `dt` is the time between frames, s. Returned by name: x, y; X, Y, the column and row of the water in the
+    first frame, px; and kind, an index of the quality (see `quality_kind`)."""
     z = np.where(np.isfinite(fields["z"]), fields["z"], 0.0)
     half = [np.where(np.isfinite(fields[n]), 0.5 * dt * fields[n], 0.0) for n in _MOTION]
     X, Y = camera.project(*(p - h for p, h in zip((x, y, z), half)))
@@ -145,9 +149,9 @@ def visible_nodes(
 
 
 class CameraPanel:
-    """The tab with the image of one camera and the nodes of the grid drawn on it.
-    A click calls `took_corner(camera, column, row)`, for masks. If that returns False, the click calls
-    `picked` with x, y of the nearest node, m. `changed` is called if another camera or overlay is chosen."""
+    """The tab with the image of one camera and the grid nodes drawn on it.
+    A click calls `took_corner(camera, column, row)`, which may use it as a corner of a mask. If that returns
+    False, `picked` is called with x, y of the nearest node, m. A new camera or overlay calls `changed`."""
 
     def __init__(
         self,
@@ -204,7 +208,7 @@ class CameraPanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Show an image of the chosen camera: the first frame of the step in the page's state `place`."""
+        """Show the first frame of the step `place.step` of the chosen camera, with its masks and nodes."""
         name = parts.chosen(self.camera)
         if not name:
             return

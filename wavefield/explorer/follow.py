@@ -56,8 +56,8 @@ class CameraView:
 
 
 class FollowPage:
-    """The page of an experiment that is being recorded, in one browser tab, with the results of `follower`.
-    `probes`, with variables probe_x and probe_y in metres, are marked on the map."""
+    """The web page, in one browser tab, that shows the results of `follower` while cameras record.
+    `probes`, wave probes at probe_x and probe_y in metres, are marked on the map."""
 
     def __init__(self, follower: Follower, probes: xr.Dataset | None = None) -> None:
         self._follower = follower
@@ -184,7 +184,8 @@ def _large(heading: str, colour: str, words: str) -> str:
 
 
 def follow_server(follower: Follower, port: int | None = None) -> PageServer:
-    """Return a web server of the page of an experiment that is being recorded; `port` as in `make_server`."""
+    """Return a web server of the page that shows the results of `follower` while cameras record.
+    `port` 0 means any free port, None the first free one from 5006 on."""
     probes = None
     with suppress(WavefieldError):  # the page only marks them on the map
         if follower.experiment.probes:

@@ -1,4 +1,4 @@
-"""Status lights of `wavefield follow`: rate light, focus, seeding, cameras and rig from the newest frames."""
+"""Rate brightness, seeding, focus, cameras and measured steps for the status lights of `wavefield follow`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
@@ -74,7 +74,7 @@ class FrameFeatures:
 
 
 def frame_features(image: Image) -> FrameFeatures:
-    """Return the numbers on brightness, saturation, seeding and focus of an image (row, column)."""
+    """Return grey levels, fractions of saturated and seeded area, and bead size of an image (row, column)."""
     sample = image[::3, ::3]
     dark, background, peak = (float(v) for v in np.percentile(sample, [0.1, 50.0, 99.9]))
     brightest = float(image.max())
@@ -93,7 +93,7 @@ def frame_features(image: Image) -> FrameFeatures:
 
 @dataclass(frozen=True)
 class StepSummary:
-    """Numbers of one measured step, from which its misfit, coverage and range of z are rated."""
+    """Misfit, coverage and range of z of one measured step (the interval between two frames)."""
 
     eps_piv: float  # rms difference of displacements between cameras, px
     coverage: float  # fraction of the grid's nodes that were measured, not filled
@@ -102,15 +102,16 @@ class StepSummary:
 
 @dataclass(frozen=True)
 class PairSummary:
-    """How well the images of two cameras agree at one instant, for the light of this pair."""
+    """How well simultaneous images of two cameras agree: epipolar error, and fraction of matched blocks."""
 
     eps_y: float  # epipolar error, rms, px
     matched: float  # fraction of the visible blocks that match
 
 
 def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, float]) -> StepSummary:
-    """Return the summary of a measured step; its eps_piv and range_used are NaN if no node has a value.
-    `fields` holds z (m), eps_piv (px) and quality, (ny, nx). `z_range` is the searched range of z, m."""
+    """Return misfit, coverage and range of z of a step; misfit and range are NaN if all z are NaN.
+    `fields` holds z (m), eps_piv (misfit of displacements, px) and quality, each (ny, nx).
+    `z_range` is the lower and upper limit between which z was searched, m."""
     z = np.asarray(fields["z"], float)
     valid = np.isfinite(z)
     if not valid.any():
@@ -128,22 +129,22 @@ def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, flo
 
 @dataclass
 class Baseline:
-    """Keeps the first FrameFeatures of each camera, PairSummary of each pair, and StepSummary of the record.
-    Later ones are compared with the medians of these."""
+    """Keeps the first numbers of a recording, for each camera, each pair of cameras, and the steps.
+    Their medians are the reference for later numbers."""
 
     n_steps: int = 4  # number of first steps that count
     _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)
 
     def add(self, name: str, values: object) -> None:
-        """Add a FrameFeatures, PairSummary or StepSummary of the camera or pair `name`; "" for a step.
-        Only the first `n_steps` of each class and name are kept."""
+        """Keep the numbers `values` of the camera or pair of cameras `name`, or of a step (`name` is "").
+        Do nothing if `n_steps` instances of this class are kept for this name already."""
         first = self._first.setdefault((type(values), name), [])
         if len(first) < self.n_steps:
             first.append(values)
 
     def medians(self, kind: type[T], name: str = "") -> T | None:
-        """Return the median of each number in the first instances of `kind`, as a `kind`.
-        `name` is their camera or pair, "" for steps. The result is None until there are `n_steps` of them."""
+        """Return an instance of the class `kind` with the medians of the numbers kept for `name`.
+        `name` is a camera, a pair of cameras, or "" for steps. None until `n_steps` instances are kept."""
         first = self._first.get((kind, name), [])
         if len(first) < self.n_steps:
             return None
@@ -153,7 +154,7 @@ class Baseline:
 
 def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -> list[StatusLight]:
     """Return the lights "brightness", "saturation", "seeding" and "focus" of one camera.
-    `now` is of its newest frame; `first` holds the medians of its first frames, None until these exist."""
+    `now` describes its newest frame; `first` holds the medians of its first frames, None if not known yet."""
     words = f"beads at {now.peak:.0f}, background {now.background:.0f}"
     dark = False
     if first is not None:
@@ -178,8 +179,9 @@ def frame_lights(camera: str, now: FrameFeatures, first: FrameFeatures | None) -
 
 
 def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> StatusLight:
-    """Return the light of a pair of cameras "a-b", which is bad if they disagree: one may have moved.
-    `now` is of the newest frames; `first` holds the medians of the first ones, None until these exist."""
+    """Return the light "eps_y" (epipolar error) of two cameras; it is bad if one of them may have moved.
+    `pair` is their names, "a-b"; `now` describes their newest frames; `first` holds the medians of the first
+    frames, None if not known yet."""
     state = _worst(_rate("eps_y", now, first), _rate("matched", now, first))
     missed = f"epipolar error {now.eps_y:.2f} px" if np.isfinite(now.eps_y) else "no blocks match"
     return StatusLight("eps_y", pair, state, f"{missed}; {100 * now.matched:.0f} % of the blocks match")
@@ -188,9 +190,9 @@ def pair_light(pair: str, now: PairSummary, first: PairSummary | None) -> Status
 def arrival_lights(
     silent: Mapping[str, float], written: Mapping[str, float], newest: Mapping[str, int], frame_rate: float
 ) -> list[StatusLight]:
-    """Return a light "arrival" for each camera, and a light "synchronisation" for each that has frames.
-    `silent` is the time since a camera's newest frame was found, s, `written` the time at which this frame
-    was written, s since the epoch, and `newest` its number, each by camera; `frame_rate` is in Hz."""
+    """Return a light "arrival" for each camera, and a light "synchronisation" for each camera with frames.
+    By camera: `silent` is the time, s, since its newest frame was found, `written` the time at which this
+    frame was written, s since the epoch, and `newest` the frame's number. `frame_rate` is in Hz."""
     out = []
     for camera, since in silent.items():
         state = _state(since - INTERVALS / frame_rate, LIMITS["silence"])
@@ -209,7 +211,7 @@ def arrival_lights(
 
 def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight]:
     """Return the lights "eps'" (misfit), "coverage" and "range of z" of a measured step.
-    `now` is of the step; `first` holds the medians of the first steps, None until these exist."""
+    `now` describes this step; `first` holds the medians of the first steps, None if not known yet."""
     found = {
         "eps'": ("eps_piv", f"displacements differ by {now.eps_piv:.2f} px"),
         "coverage": ("coverage", f"{100 * now.coverage:.0f} % of the nodes measured"),
@@ -219,7 +221,7 @@ def step_lights(now: StepSummary, first: StepSummary | None) -> list[StatusLight
 
 
 def red_lights(lights: Sequence[StatusLight]) -> list[StatusLight]:
-    """Return the lights whose state is "bad", causes before consequences, such as focus before eps_y."""
+    """Return the lights whose state is "bad", sorted so that causes, such as focus, precede consequences."""
     bad = [light for light in lights if light.state == "bad"]
     return sorted(bad, key=lambda light: _ORDER.index(light.name))
 
@@ -230,8 +232,8 @@ def _ratio(value: float, reference: float) -> float:
 
 
 def _rate(name: str, now: T, first: T | None) -> State:
-    """Return the state of the number `name` in `now`, such as "matched": the worse of two states.
-    One compares its value with `LIMITS`, the other its ratio to the median in `first` with `RELATIVE`."""
+    """Return the state ("good", "doubtful" or "bad") of the number `name`, such as "matched", in `now`.
+    `LIMITS` rates its value, and `RELATIVE` its ratio to the number in `first`; the worse state counts."""
     value = getattr(now, name)
     state = _state(value, LIMITS[name])
     if first is None or name not in RELATIVE:
@@ -240,7 +242,8 @@ def _rate(name: str, now: T, first: T | None) -> State:
 
 
 def _state(value: float, limits: Limits) -> State:
-    """Return "doubtful" or "bad" for a value beyond the first or second limit, else "good"; NaN is "good"."""
+    """Return "bad" for a value beyond the second of `limits`, "doubtful" beyond the first, else "good".
+    If the second limit is the smaller one, beyond means below. NaN is "good"."""
     doubtful, bad = limits
     if bad < doubtful:
         value, doubtful, bad = -value, -doubtful, -bad

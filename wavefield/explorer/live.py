@@ -1,4 +1,4 @@
-"""The work behind `wavefield follow`: find, measure and rate the newest frames while cameras record."""
+"""Find, measure and rate the newest frames while cameras record, for the page of `wavefield follow`."""
 
 import logging
 import os
@@ -58,7 +58,8 @@ class FolderWatch:
         self._frames: dict[str, dict[int, FrameEntry]] = {}
 
     def poll(self) -> None:
-        """List the image folders once; update `newest` and `written`, or `trouble` on an error."""
+        """List the image folders once, and update number and time of each camera's newest frame.
+        If a folder cannot be listed, `trouble` gets the reason."""
         self._polled = time.monotonic()
         for name, section in self.experiment.cameras.items():
             try:
@@ -75,13 +76,14 @@ class FolderWatch:
                 self._noticed[name] = self._polled
 
     def silent(self) -> dict[str, float]:
-        """Return by camera the time, s, from the discovery of its newest frame to the last `poll`.
+        """Return, by camera, the time in s from when its newest frame was found to the last `poll`.
         For a camera without frames, the time begins when this object was made."""
         return {name: self._polled - when for name, when in self._noticed.items()}
 
     def newest_set(self, after: int = -1) -> FrameSet | None:
-        """Return the newest two successive frames of all cameras that still record; None if there are none.
-        The number of the first is above `after`. A camera over 1 s behind the others counts as stopped."""
+        """Return the newest two successive frames that all recording cameras have, or None.
+        The number of the first frame is above `after`. A camera whose newest frame is over 1 s older than the
+        newest one of another camera counts as stopped."""
         latest = max(self.written.values(), default=0.0)
         longest = lights.LIMITS["delay"][1]  # a camera further behind the others counts as stopped
         sending = [name for name, when in self.written.items() if latest - when <= longest]
@@ -113,8 +115,8 @@ def _written(entry: FrameEntry) -> float:
 
 
 class LiveMeasurement:
-    """Measures single steps of an experiment that is being recorded, if a rig can be loaded.
-    `rig` is a Rig or the path of a rig file; if None, the file that the experiment names is read."""
+    """Measures fields from two successive frames at a time during a recording, if a rig can be loaded.
+    `rig` is a Rig or the path of a rig file; None means the file that the experiment names."""
 
     def __init__(self, experiment: Experiment, rig: Rig | Path | None) -> None:
         self._experiment, self._rig = experiment, rig
@@ -127,8 +129,8 @@ class LiveMeasurement:
         self.trouble = ""  # why nothing is measured
 
     def measure(self, frames: FrameSet) -> tuple[Fields, StepSummary | None]:
-        """Return the fields (ny, nx), by variable, and the summary of the step between two frames.
-        They are {} and None without a rig or after an error; `trouble` then holds the reason."""
+        """Return the fields (ny, nx), by variable, measured from two successive frames, and their summary.
+        Without a rig, or after an error, return {} and None; the reason is then in `trouble`."""
         firsts = {name: both[0] for name, both in frames.images.items()}
         sizes = {name: (image.shape[1], image.shape[0]) for name, image in firsts.items()}
         if self.learner is None or (self.trouble and sizes != self._sizes):
@@ -155,7 +157,7 @@ class LiveMeasurement:
         return fields, lights.summarize_step(fields, geometry.z_range)
 
     def pairs(self, frames: FrameSet) -> dict[str, PairSummary]:
-        """Return, by pair of cameras "a-b", how well the second frames of both agree; {} without a rig."""
+        """Return, by pair of cameras "a-b", how well their second frames agree; {} without a rig."""
         if self.learner is None:
             return {}
         geometry = self.learner.geometry
@@ -180,8 +182,8 @@ class LiveMeasurement:
         return image if background is None else subtracted(image, background)
 
     def _prepare(self, images: Mapping[str, NDArray[Any]]) -> None:
-        """Load the rig, and set `learner` and masks for the sizes of `images` (by camera).
-        On an error only `trouble` is set."""
+        """Load the rig, and set `learner` (geometry and wave model) and masks for the sizes of `images`.
+        `images` holds one image (row, column) per camera. If this fails, only `trouble` is set (why)."""
         from wavefield.execution.workflow import Workflow
         from wavefield.pipeline.prepare import make_settings
 
@@ -211,7 +213,7 @@ class LiveMeasurement:
 
 
 class Learner:
-    """Keeps the model of waves and noise that measuring needs, estimated anew from the newest frames.
+    """Keeps the statistical model of waves and noise for the measurement; newest frames update it.
     `model` is None until the first estimate succeeds."""
 
     def __init__(self, geometry: GridGeometry, frame_rate: float) -> None:
@@ -223,8 +225,8 @@ class Learner:
         self._next_s = 0.0
 
     def add(self, frames: tuple[Frames, Frames], masks: tuple[Masks, Masks]) -> None:
-        """Add the two frames of a step and their masks, by camera, and estimate the model again if it is due.
-        It is due after a pause ten times as long as the last estimate took."""
+        """Add the two frames of a step and their masks, by camera, and update the model if it is due.
+        It is due after a pause ten times as long as the last update took."""
         self._steps.append((frames, masks))
         begun = time.monotonic()
         if self.model is not None and begun < self._next_s:
@@ -302,8 +304,8 @@ class Follower:
                 self._stop.wait(POLL_S)
 
     def poll(self) -> bool:
-        """List the image folders once, and measure and publish the newest frames if these are new.
-        Return whether there were new ones."""
+        """List the image folders once. If there are new frames, measure the newest and publish the result.
+        Return whether there were new frames."""
         self.watch.poll()
         frames = self.watch.newest_set(after=self.latest.number if self.latest else -1)
         if frames is not None:

@@ -32,21 +32,21 @@ _WHERE = ("x, y", "$x{0.000}, $y{0.000} m")
 
 
 def map_aspect(ratio: float) -> float:
-    """Return the ratio of width to height of a map with its margins; `ratio` is that of the field alone.
-    The margins are those of a map 900 px wide; the result is between 0.8 and 3."""
+    """Return width over height of a figure with a map and margins; `ratio` is width over height of the field.
+    The margins are those of a figure 900 px wide. The result is between 0.8 and 3."""
     return float(np.clip(ratio * 900 / (768 + 60 * ratio), 0.8, 3.0))
 
 
 def top_speed(u: Field, v: Field) -> float:
-    """Return the 98 % quantile of horizontal speed, m/s, from u, v (ny, nx); 0 if nothing was measured."""
+    """Return the 98 % quantile of horizontal speed, m/s, from u, v (ny, nx), m/s; 0 if all are NaN."""
     speed = np.hypot(u, v)
     return limit(speed, 98) if np.isfinite(speed).any() else 0.0
 
 
 def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Field, Field, float]:
-    """Return x and y (7 n,), metres, of lines that draw n velocity arrows, and their scale, m per m/s.
-    u, v (ny, nx) are in m/s at x (nx,), y (ny,), metres. Each arrow has six points and a NaN after them. An
-    arrow for the speed `fastest`, m/s, is 1.2 times as long as the distance between arrows."""
+    """Return x and y (7 n,), m, of lines that draw n velocity arrows, and their length per speed, m per m/s.
+    u, v (ny, nx), m/s, are the velocity at x (nx,), y (ny,), m; only every few nodes get an arrow. An arrow
+    takes six points and a NaN. Its length for the speed `fastest`, m/s, is 1.2 times the arrows' spacing."""
     some = thin(len(x), len(y))
     gap = some.step * float(np.mean(np.diff(x)))
     metres = 1.2 * gap / fastest if fastest > 0 else 0.0
@@ -65,7 +65,7 @@ def arrows(u: Field, v: Field, x: Field, y: Field, fastest: float) -> tuple[Fiel
 def draw_layers(
     made: figure, sources: Mapping[str, ColumnDataSource], mapper: LinearColorMapper
 ) -> GlyphRenderer:
-    """Draw the sources "image", "arrows" and "probes" on a map, and return Bokeh's renderer of the image."""
+    """Draw the sources "image", "arrows" and "probes" on a figure; return Bokeh's renderer of the image."""
     made.grid.grid_line_color = None
     image = made.image("image", source=sources["image"], color_mapper=mapper)
     made.x_range.renderers = made.y_range.renderers = [image]
@@ -143,7 +143,7 @@ class MapPanel:
         self.mark(place.node)
 
     def _name_values(self, place: Place, code: str) -> bool:
-        """Set the map's tooltip to the variable in `place`, with values formatted by the JavaScript `code`.
+        """Make the map's tooltip show the variable in `place`; the JavaScript `code` formats its values.
         Return whether the tooltip changed."""
         shown = display(place.show)
         rows = [(shown.name, f"@image{{custom}} {shown.unit}"), _WHERE]
@@ -154,8 +154,8 @@ class MapPanel:
         return changed
 
     def limits(self, place: Place) -> tuple[float, float]:
-        """Return the lower and upper end of the colours, in the displayed unit, as the user entered them.
-        By default they fit the first drawn step of the variable that has values; until then (-1, 1)."""
+        """Return the lower and upper limit of the colour scale, in the displayed unit, that the user entered.
+        By default they fit the first drawn step in which the variable has values; before, (-1, 1)."""
         name = place.show
         if name not in self._fitted:
             values = self._record.field(name, place.step)
@@ -166,8 +166,8 @@ class MapPanel:
         return place.limits or self._fitted[name]
 
     def refit(self, place: Place) -> None:
-        """Forget the fitted scale of the arrows, and that of the colours of the variable in `place`.
-        The step that is shown next sets them again."""
+        """Forget the automatic scale of the arrows and the automatic colour scale of the variable in `place`.
+        The next step that is drawn sets both scales again."""
         self._fitted.pop(place.show, None)
         self._fastest = 0.0
 

@@ -1,4 +1,4 @@
-"""Time series at one grid node with uncertainty and quality, a spectrum, and a wave probe near the node."""
+"""The tab of one grid node: time series with uncertainty and quality, a spectrum, and a nearby wave probe."""
 
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -32,8 +32,8 @@ class Spectrum(NamedTuple):
 
 
 def longest_run(values: Array) -> Array:
-    """Return the longest part of a series (n,) in which at most two successive values are missing (NaN).
-    Such gaps are filled by linear interpolation, as in `wavefield analyze`."""
+    """Return the longest part of a series (n,) without gaps of more than two missing values (NaN).
+    Shorter gaps are filled by linear interpolation, as in `wavefield analyze`."""
     from wavefield.waves.record import LONGEST_BRIDGE  # takes a second to import
 
     finite = np.flatnonzero(np.isfinite(values))
@@ -46,8 +46,9 @@ def longest_run(values: Array) -> Array:
 
 
 def spectrum(values: Array, dt: float) -> Spectrum | None:
-    """Return the Welch spectrum of the `longest_run` of a series (n,); None if that has fewer than 32 steps.
-    `dt` is the time step, s. Segments and degrees of freedom are chosen as in `wavefield analyze`."""
+    """Return the Welch spectrum of the longest part of a series (n,) without gaps of over two values.
+    None if this part has fewer than 32 values. `dt` is the time step, s. Segments and degrees of freedom are
+    chosen as in `wavefield analyze`."""
     from scipy import signal  # takes most of a second to import
 
     from wavefield.waves.welch import choose_segment, degrees_of_freedom, interval, segment_count
@@ -146,7 +147,7 @@ class NodePanel:
             self._show_spectrum()
 
     def show_step(self, place: Place) -> None:
-        """Show the values at the node and step in `place`, the page's state; leave the series as they are."""
+        """Show the values at the node and step in `place`, the page's state; do not draw the series again."""
         record, self._node = self._record, place.node
         self.now.location = float(record.time[place.step])
         if self._node is None:
@@ -167,20 +168,20 @@ class NodePanel:
         )
 
     def _index(self, y: Array, x: Array) -> tuple[int, int]:
-        """Return the indices on axes y (ny,) and x (nx,) of the node nearest to the picked node."""
+        """Return the indices (j, i) on axes y (ny,) and x (nx,) of the node nearest to the picked node."""
         assert self._node is not None
         return nearest(y, self._node[1]), nearest(x, self._node[0])
 
     def _near_probe(self) -> "xr.Dataset | None":
-        """Return the probe nearest to the picked node, within 5 cm or one grid step; None if none is."""
+        """Return the probe nearest to the picked node, at most 5 cm or one grid step away, or else None."""
         record = self._record
         j, i = self._index(record.y, record.x)
         spacing = abs(float(record.x[-1] - record.x[0])) / max(record.x.size - 1, 1)
         return nearest_probe(self.probes, record.x[i], record.y[j], max(MAX_PROBE_DISTANCE_M, spacing))
 
     def _series(self, name: str, unit_of: str = "") -> Array:
-        """Return the variable `name` at the node of the thinned copy nearest to the picked node, (time,).
-        Its unit is that in which the variable `unit_of`, by default `name`, is displayed."""
+        """Return a variable over time, (time,), at the node of the cube's thinned copy nearest to the picked
+        one. Its unit is the one in which the variable `unit_of`, by default `name`, is displayed."""
         preview, factor = self._record.preview, display(unit_of or name).factor
         return preview.series(name, *self._index(preview.y, preview.x)) * np.float32(factor)
 
@@ -195,7 +196,7 @@ class NodePanel:
         self._show_probe()
 
     def _show_probe(self) -> None:
-        """Draw the elevation of the near probe over that of the node; draw nothing if no probe is near."""
+        """Draw the elevation of the nearest probe on the figure of z; remove it if no probe is near."""
         data: dict[str, Array] = {"t": np.empty(0), "value": np.empty(0)}
         near = self._near_probe()
         if near is not None:

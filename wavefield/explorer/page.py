@@ -1,4 +1,4 @@
-"""The page of `wavefield look` in one browser tab: controls, panels and the verdict on the cube."""
+"""The page of `wavefield look` in one browser tab: controls, panels and the verdict on the cube's quality."""
 
 import re
 import threading
@@ -149,7 +149,7 @@ class LookPage:
             document.on_event(DocumentReady, lambda event: self._ready())
 
     def _ready(self) -> None:
-        """Show the picked node, and then probes, masks and verdict, which take a second to import."""
+        """Show the picked node, and then probes, masks and verdict, which a thread takes a second to load."""
         self._soon(self._show_picked)
 
         def read() -> None:
@@ -177,7 +177,7 @@ class LookPage:
 
     def _show_probes(self, probes: "xr.Dataset") -> None:
         """Draw the probes on the map, and give them to the node panel for comparison.
-        Names of probes without a position or outside the map are added to `trouble`."""
+        The message `trouble` gets the names of probes outside the map or without a position."""
         record = self.session.record
         names, x, y = probes.probe.values.astype(str), probes.probe_x.values, probes.probe_y.values
         self.node.probes = probes
@@ -198,7 +198,7 @@ class LookPage:
             self._soon(self._show_view if list(changed) == ["tab"] else self.redraw)
 
     def entered(self, name: str) -> str | int:
-        """Return the value of the widget `name`: the chosen option, or the step, limited to the record."""
+        """Return the value of the control `name`: the option chosen in a menu, or a step within the cube."""
         widget = self.controls[name]
         if isinstance(widget, Select):
             return parts.chosen(widget)
@@ -218,7 +218,7 @@ class LookPage:
             self.pick(x, y)
 
     def pick(self, x: float, y: float) -> None:
-        """Pick the grid node nearest to x, y, metres, a place on the water, and show it."""
+        """Select the grid node nearest to x, y, metres, on the water surface, and show its values."""
         self.place = replace(self.place, node=(x, y))
         self.picked.active = PICKED.index("node")
         self.map.mark(self.place.node)
@@ -259,7 +259,7 @@ class LookPage:
     # -- drawing ---------------------------------------------------------------------------------------
 
     def _soon(self, draw: Callable[[], None]) -> None:
-        """Schedule a call of `draw` for the next tick of the server, unless one is already scheduled."""
+        """Schedule a call of `draw` for the next tick of the server, unless it is scheduled already."""
         name = draw.__name__
         if self._document is None or name in self._scheduled:
             return
@@ -308,14 +308,14 @@ class LookPage:
         self.map.layout.title.text = f"{what}, t = {record.time[place.step]:.3f} s{status}"
 
     def _show_view(self) -> None:
-        """Draw the tab of `TABS` that is open; the map is drawn by `_show_map`."""
+        """Draw the tab "cameras" or "waves" if it is open; `_show_map` draws the map."""
         if self.place.tab in self._views:
             self._views[self.place.tab]().show(self.place)
             self._show_corners()
         self.link.text = self.place.query()
 
     def _show_picked(self) -> None:
-        """Draw the tab of `PICKED` that is open: the picked node, or masks."""
+        """Draw the open tab of the second group: values at the picked node, or masks."""
         if PICKED[int(self.picked.active)] == "node":
             self.node.show(self.place)
         else:
@@ -342,7 +342,7 @@ class LookPage:
     # -- the head --------------------------------------------------------------------------------------
 
     def _show_head(self) -> None:
-        """Show how many steps are measured, how much of the preview (thinned copy) is read, and errors."""
+        """Show the number of measured steps, how much of the preview (thinned copy) is loaded, and errors."""
         record, preview = self.session.record, self.session.record.preview
         done, steps = record.steps_done, record.layout.steps
         words = f"{steps} steps at {record.frame_rate:g} Hz, {spell_time(steps / record.frame_rate)}"
@@ -356,7 +356,7 @@ class LookPage:
         self.state.text = f"{self._error} {words}".strip()
 
     def _show_verdict(self) -> None:
-        """Show the verdict on the cube, if there is one; a click unfolds its remarks."""
+        """Show the verdict on the cube's quality, if there is one; a click unfolds the remarks in it."""
         try:
             found = read_verdict(self.session.record.path)
         except WavefieldError as error:

@@ -1,4 +1,4 @@
-"""Parts that the panels share: the state of a page, figures in one style, data sources, long series."""
+"""What the panels share: the state of a page, figures in one style, data sources, thinning of long series."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -42,7 +42,7 @@ OVERLAYS = ("arrows", "nothing")  # drawn on the map
 
 @dataclass(frozen=True)
 class Place:
-    """The state of a page, which its link stores, such as show=z&step=12&node=0.1,-0.2."""
+    """The state of a page: variable, step, tab, ... Links contain it, as in show=z&step=12&node=0.1,-0.2."""
 
     show: str = "w"  # variable of the map
     step: int = 0  # index of the step, from 0
@@ -52,7 +52,7 @@ class Place:
     node: tuple[float, float] | None = None  # x and y of the clicked node, metres
 
     def query(self) -> str:
-        """Return the query of a link to this state; defaults of all but `show` and `step` are omitted."""
+        """Return this state as the query of a link. Default values are left out, except `show` and `step`."""
         pairs = {}
         for field in fields(self):
             value = getattr(self, field.name)
@@ -64,7 +64,7 @@ class Place:
 
     @classmethod
     def read(cls, query: Mapping[str, str], names: Sequence[str], steps: int, first: int = 0) -> "Place":
-        """Return the state that the query of a link describes; defaults replace values that are not valid.
+        """Return the state that the query of a link describes, with defaults in place of invalid values.
         `names` are the variables of the cube, `steps` its number of steps, and `first` the default step."""
         choices = {"show": names, "tab": TABS, "overlay": OVERLAYS}
         found: dict[str, Any] = {name: text for name, text in query.items() if text in choices.get(name, ())}
@@ -97,7 +97,7 @@ Series = NDArray[np.floating]
 
 class LazyPanel:
     """A panel that is imported and made when its tab is first opened; until then the tab shows "Loading".
-    `module` and `kind` are the names of its module and class, which is called with `arguments`."""
+    `module` and `kind` are the names of its module and its class. The class is called with `arguments`."""
 
     def __init__(self, module: str, kind: str, *arguments: object) -> None:
         loading = text_line("", _LOADING, html=True)
@@ -118,7 +118,7 @@ class LazyPanel:
 
 
 def make_figure(name: str, **settings: object) -> figure:
-    """Return a Bokeh figure in the style of the pages; `settings` of Bokeh replace parts of the style."""
+    """Return a Bokeh figure in the style of the pages; `settings`, arguments of Bokeh, override the style."""
     settings = _DEFAULTS | settings
     if isinstance(settings["tools"], str):
         settings["active_scroll"] = "xwheel_zoom" if "xwheel_zoom" in settings["tools"] else "wheel_zoom"
@@ -138,8 +138,8 @@ def make_figure(name: str, **settings: object) -> figure:
 
 
 def make_tabs(name: str, active: int, titles: Sequence[str], bodies: Sequence[UIElement]) -> Tabs:
-    """Return Bokeh tabs with these titles and bodies; the tab with the index `active` is open.
-    Tabs never widen the page, and the bodies of closed tabs are not laid out."""
+    """Return Bokeh tabs with these titles and contents (`bodies`); the tab with the index `active` is open.
+    Tabs never widen the page, and the contents of closed tabs are not laid out."""
     tabs = [TabPanel(child=body, title=title) for title, body in zip(titles, bodies)]
     narrow = {"grid-template-columns": "minmax(0, 1fr)", "min-width": "0"}
     made = Tabs(tabs=tabs, active=active, name=name, sizing_mode="stretch_width", styles=narrow)
@@ -172,7 +172,8 @@ def on_click(made: figure, handle: Callable[[Tap], None]) -> None:
 
 
 def add_hover(made: figure, *rows: tuple[str, str], renderers: Sequence[object], mode: str = "mouse") -> None:
-    """Add a tooltip to the drawings `renderers` of a figure; a row is a label and a format such as "@x"."""
+    """Add a tooltip to the drawings `renderers` of a figure; a row is a label and a format such as "@x".
+    `mode` is that of Bokeh's HoverTool: "vline" shows the tooltip of all points above or below the mouse."""
     tooltips, drawn = list(rows), list(renderers)
     made.add_tools(HoverTool(tooltips=tooltips, mode=mode, renderers=drawn, line_policy="nearest"))
 
@@ -195,7 +196,7 @@ def apply_template(
     places: Sequence[str],
     aspect: float = 1.3,
 ) -> None:
-    """Set the title, from `heading` and `command`, and the HTML template of a Bokeh document.
+    """Set the HTML template of a Bokeh document, and its title from `heading` and `command`, such as "look".
     `places` are the names of the document's root elements. `aspect` is the width over the height of the map,
     which then fits into the height of the window."""
     document.title = f"{heading} – wavefield {command}"
@@ -211,7 +212,7 @@ def apply_template(
 
 
 def text_line(name: str, text: str = "", html: bool = False) -> Div:
-    """Return a paragraph of full width; with `html`, `text` is HTML that the caller has escaped."""
+    """Return a Bokeh paragraph of full width; with `html`, `text` is HTML that the caller has escaped."""
     raw = {"render_as_text": not html, "disable_math": True}
     return Div(text=text, name=name, sizing_mode="stretch_width", **raw)
 
@@ -239,7 +240,7 @@ def chosen(choice: Select) -> str:
 
 
 def named(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Return a menu's options for variables: each a name and the text to show, such as "z: elevation"."""
+    """Return options for a menu of variables: pairs of name and displayed text, ("z", "z: elevation")."""
     return [(name, f"{name}: {TABLE[name].long_name}") for name in names]
 
 
@@ -260,7 +261,7 @@ def draw_ring(made: figure, source: ColumnDataSource, x: str, y: str, colour: st
 
 def probe_columns(names: Sequence[str], x: Series, y: Series, middle: float) -> dict[str, list[object]]:
     """Return the columns of a source for `draw_probes`, for probes at x, y (n,), metres.
-    Names point towards `middle`, the x of the middle of the map, so that they do not leave it."""
+    Each name is written on the side towards `middle`, the x of the middle of the map, to stay on the map."""
     right = [float(at) > middle for at in x]
     return {
         "x": list(x),
@@ -281,7 +282,7 @@ def draw_probes(made: figure, source: ColumnDataSource) -> None:
 
 
 def draw_masks(made: figure, drawn: ColumnDataSource, saved: ColumnDataSource) -> None:
-    """Draw masks from the source `saved` and, from `drawn`, the corners of the mask that the user makes."""
+    """Draw the masks in the source `saved`, and from `drawn` the corners of the mask that is being made."""
     made.patches(
         "xs", "ys", source=saved, fill_alpha=0.15, fill_color=INK, hatch_pattern="/", hatch_alpha=0.5,
         hatch_color="white", line_color=INK, line_width=1.5,
@@ -299,7 +300,7 @@ def palette(colour_map: str) -> list[str]:
 
 
 def quality_mapper() -> LinearColorMapper:
-    """Return the Bokeh colour mapper of the kind of quality, which is an index into `KINDS`."""
+    """Return the Bokeh colour mapper for the quality of nodes, given as indices into `KINDS`."""
     return LinearColorMapper(palette=[colour for _, _, colour in KINDS], low=-0.5, high=len(KINDS) - 0.5)
 
 
@@ -334,8 +335,8 @@ def image_data(values: Series, x: Series, y: Series) -> dict[str, list[object]]:
 
 def envelope(t: Series, value: Series, std: Series) -> dict[str, Series]:
     """Return the columns t, value, low and high that draw a series (n,) with a band of `std` on either side.
-    Long series are thinned: of each bin of successive samples, those with the lowest and highest value stay,
-    so that crests and troughs stay visible. The band of a bin encloses the bands of all its samples."""
+    Long series are thinned: of each bin of successive samples, only the lowest and the highest are kept, so
+    that crests and troughs stay visible. The band of a bin encloses the bands of all its samples."""
     low, high = value - std, value + std
     if t.size > MOST_POINTS:
         width = -(-2 * t.size // MOST_POINTS)

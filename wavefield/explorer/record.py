@@ -34,7 +34,7 @@ def nearest(positions: NDArray[np.floating], requested: float) -> int:
 
 
 class CubeRecord:
-    """A cube, finished or not, and its thinned copy `preview`, from which pages show steps and series."""
+    """A cube, finished or not: pages read steps from it, and time series from its thinned copy `preview`."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path).absolute()
@@ -60,7 +60,7 @@ class CubeRecord:
         return float(self.group.attrs["frame_rate"])
 
     def refresh(self) -> bool:
-        """Read `frame_status` again, and remove from memory the fields of steps whose status has changed.
+        """Read the status of all steps again, and drop fields in memory whose step has a new status.
         Return whether the status of any step has changed."""
         ledger = read_array(self.group, self.path, "frame_status")
         changed = ledger != self.ledger
@@ -71,7 +71,7 @@ class CubeRecord:
 
     @property
     def steps_done(self) -> int:
-        """Number of steps that the run has measured or could not measure."""
+        """Number of steps that the run has finished, with or without success."""
         return int(np.count_nonzero(self.ledger))
 
     def first_step(self) -> int:
@@ -115,22 +115,22 @@ class Preview:
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """For each chunk (range of steps) of the cube, whether all its steps are done, (chunks,)."""
+        """For each chunk (range of steps) of the cube, whether all its steps are finished, (chunks,)."""
         ledger = self._record.ledger
         return np.array([bool(ledger[a:b].all()) for a, b in self._record.layout.chunks()])
 
     @property
     def complete(self) -> bool:
-        """Whether all chunks that are done are in memory."""
+        """Whether all chunks (ranges of steps) that the run has finished are in memory."""
         return bool((self.loaded | ~self.measured).all())
 
     @property
     def count(self) -> int:
-        """Number of chunks in memory; pages draw series again when it changes."""
+        """Number of chunks (ranges of steps) in memory; pages draw series again when it changes."""
         return int(self.loaded.sum())
 
     def load(self) -> None:
-        """Read the chunks that are done but not in memory. A chunk that fails is noted in `trouble`."""
+        """Read the finished chunks (ranges of steps) that are not in memory; note an error in `trouble`."""
         with self._lock:
             measured = self.measured
             self.loaded &= measured  # a chunk that is being measured again must be read again
@@ -145,11 +145,11 @@ class Preview:
                 self.loaded[index] = True
 
     def stored(self, name: str) -> NDArray[np.int16]:
-        """Return one variable, (y, x, time), as 16-bit integers; `MISSING` where no value is known (yet)."""
+        """Return one variable, (y, x, time), as 16-bit integers; `MISSING` stands for unknown values."""
         return np.asarray(self.fields[self.thin.names.index(name)])
 
     def series(self, name: str, j: int, i: int) -> NDArray[np.float32]:
-        """Return a variable at row j and column i of the thinned nodes, (time,), in the units of the cube."""
+        """Return a variable over time, (time,), at row j and column i of the thinned grid, in cube units."""
         stored, scale = self.stored(name)[j, i], self.thin.scales[self.thin.names.index(name)]
         return np.where(stored == MISSING, np.float32(np.nan), stored * np.float32(scale))
 
@@ -163,7 +163,7 @@ class LookSession:
 
     @cached_property
     def run(self) -> "Run":
-        """Rig, experiment, images, waves and probes of the cube; they take long to open at first use."""
+        """The run that writes the cube, with rig, experiment, images, waves and probes; slow at first use."""
         import xarray as xr
 
         from wavefield.pipeline import Run

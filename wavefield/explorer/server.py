@@ -36,7 +36,7 @@ _HOSTS = ("localhost", "127.0.0.1")
 
 def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
     """Return x, y, metres, of the measured node nearest to the middle of the grid at a step.
-    If no node is measured then, all nodes count."""
+    If no node is measured at this step, return the position of the middle node."""
     x, y = np.meshgrid(record.x - record.x.mean(), record.y - record.y.mean())
     distance = np.hypot(x, y)
     with suppress(StoreError):  # the map reports a damaged step
@@ -47,7 +47,7 @@ def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
 
 
 class Refused(RequestHandler):
-    """Answers requests that lack the token or come from another machine or website."""
+    """Answers requests that lack the secret token or come from another machine or website."""
 
     def prepare(self) -> None:
         """Answer with status 403 (forbidden) and a sentence on how to open the page."""
@@ -128,8 +128,8 @@ def make_server(make_page: Callable[[Document], None], port: int | None) -> Page
 
 
 def session_server(session: LookSession, port: int | None = None) -> PageServer:
-    """Return a web server of the page of a cube; `port` is as in `make_server`.
-    Each browser tab opens in the state (step, variable, ...) that its link stores."""
+    """Return a web server of the page of a cube; `port` 0: any free port, None: the first free one from 5006.
+    Each browser tab opens in the state (step, variable, ...) that its link contains."""
     record = session.record
 
     def make_page(document: Document) -> None:
@@ -144,8 +144,8 @@ def session_server(session: LookSession, port: int | None = None) -> PageServer:
 
 
 class ServedPage:
-    """A page that a notebook shows in a frame.
-    `make` returns its server. It is called in a new thread, in which the server then runs."""
+    """A page that a notebook shows in a frame, with its own server.
+    `make` returns the server; it is called in a new thread, in which the server then runs."""
 
     def __init__(self, make: Callable[[], PageServer]) -> None:
         self._ready = threading.Event()

@@ -31,8 +31,8 @@ def log_density(density: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def doppler_relation(k: NDArray[np.floating], current: float, depth: float) -> NDArray[np.floating]:
-    """Return the frequencies, Hz, at which free waves with wavenumbers k, rad/m, pass a fixed point.
-    `current` is the component of the current in the direction of the waves, m/s; `depth` is in metres."""
+    """Return the frequencies, Hz, at a fixed point, of free waves with wavenumbers k, rad/m, in a current.
+    `current` is its component in the direction of the waves, m/s; `depth` is the water depth, m."""
     return np.asarray((water.dispersion(k, depth) + k * current) / (2 * np.pi))
 
 
@@ -109,7 +109,7 @@ class WavePanel:
     # -- showing ---------------------------------------------------------------------------------------
 
     def show(self, place: Place) -> None:
-        """Draw the spectra of the whole record, once, when they exist; the state `place` does not matter."""
+        """Draw the spectra of the whole record when they exist; later calls do nothing. `place` is unused."""
         if self._spectra is not None:
             return
         session = self._session
@@ -154,7 +154,7 @@ class WavePanel:
         self._show_circle()
 
     def choose(self, frequency: float) -> None:
-        """Draw E(kx, ky) at the stored frequency nearest to `frequency`, Hz."""
+        """Draw E(kx, ky) at the frequency nearest to `frequency`, Hz, of those in the wave store."""
         if self._spectra is None or "omega_map" not in self._spectra.coords:
             return
         hertz = self._spectra.omega_map.values / (2 * np.pi)

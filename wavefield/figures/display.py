@@ -48,7 +48,7 @@ class Display:
 
     @property
     def in_unit(self) -> str:
-        """The unit in brackets with a space before it; empty for pure numbers."""
+        """The unit in brackets after a space, such as " (cm)"; empty for pure numbers."""
         return f" ({self.unit})" if self.unit else ""
 
     @property
@@ -68,7 +68,7 @@ class Display:
 
     @property
     def colour_map(self) -> str:
-        """The name of the matplotlib colour map; colour-blind readers can read it as well."""
+        """The name of the matplotlib colour map, which suits colour-blind readers."""
         return SIGNED if self.signed else POSITIVE
 
     def limits(self, values: NDArray[np.floating]) -> tuple[float, float]:
@@ -106,7 +106,7 @@ KINDS: tuple[tuple[str, str, str], ...] = (
 
 
 def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the index of the first kind in `KINDS` whose bit is set in each value of `quality`.
+    """Return, for each value of `quality`, the index of the first kind in `KINDS` whose bit is set.
     The result has the shape of `quality`, and is `len(KINDS)` where no kind applies."""
     out = np.full(np.shape(quality), len(KINDS), np.uint8)
     for index in range(len(KINDS) - 1, -1, -1):

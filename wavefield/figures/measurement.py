@@ -1,4 +1,4 @@
-"""Figures of coverage and faults of a cube, misfits, uncertainties, distributions of fields and errors."""
+"""Figures of coverage and faults of a cube, misfits, uncertainties, and distributions of its fields."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -32,7 +32,7 @@ _REASONS = {
 
 
 def _quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
-    """Return, for each name in `_REASONS`, the fraction of values along `dims` with this bit of `quality`."""
+    """Return the fraction of values along `dims` whose `quality` has the bit of each name in `_REASONS`."""
     return xr.Dataset(
         {name: ((quality & np.uint16(int(flag))) != 0).mean(dims) for name, flag in _REASONS.items()}
     )
@@ -88,7 +88,9 @@ def fault_history(cube: xr.Dataset) -> Figure:
 
 
 def misfit_maps(cube: xr.Dataset) -> Figure:
-    """Draw maps of the rms in time of eps_y, the epipolar error, and eps_piv, the misfit of displacements.
+    """Draw maps of the rms in time of the epipolar error eps_y and the misfit of displacements eps_piv.
+
+    The misfit is the disagreement between the displacements that the cameras measure.
 
     Parameters
     ----------
@@ -130,8 +132,8 @@ def uncertainty_maps(cube: xr.Dataset) -> Figure:
 def _draw_densities(
     axes: Axes, curves: Mapping[str, np.ndarray], unit: str, xlabel: str, gaussian: bool = False
 ) -> None:
-    """Draw the probability densities of arrays of any shape, in `unit`; `curves` holds them by name.
-    With `gaussian`, a Gaussian with the mean and standard deviation of the widest density is added."""
+    """Draw the probability density of each array in `curves`, by name; values, of any shape, are in `unit`.
+    With `gaussian`, add a Gaussian with the mean and standard deviation of the widest density."""
     finite = {name: np.asarray(values[np.isfinite(values)], float) for name, values in curves.items()}
     moments = {
         name: (float(v.std()), float(v.mean())) if v.size else (0.0, 0.0) for name, v in finite.items()
@@ -154,7 +156,8 @@ def _draw_densities(
 
 
 def _displacements(cube: xr.Dataset, factor: float) -> dict[str, np.ndarray]:
-    """Return displacements in one step, (time, y, x), metres times `factor`, by label such as "dx = u dt"."""
+    """Return the displacements between two frames, (time, y, x), in metres times `factor`.
+    Their keys are labels such as "dx = u dt"."""
     rate = float(cube.attrs["frame_rate"])
     return {label: factor / rate * cube[name].values for name, label in _DISPLACEMENTS.items()}
 

@@ -1,6 +1,6 @@
 """Sizes, colours, maps and axes that all figures share.
 
-Colour-blind readers can read them: signed fields are red and blue, positive ones cividis, lines have dashes.
+Figures suit colour-blind readers: signed fields are red and blue, positive ones cividis, lines have dashes.
 """
 
 import io
@@ -45,7 +45,7 @@ class NotebookFigure(Figure):
 
 
 def file_of(figure: Figure, **settings: Any) -> bytes:
-    """Return the content of a PNG file of a figure; settings are those of `Figure.savefig`."""
+    """Return a figure as the bytes of a PNG file; `settings` are arguments of `Figure.savefig`."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", **settings)
     return buffer.getvalue()
@@ -161,7 +161,7 @@ def draw_curves(
 
 
 def finish(axes: Axes, xlabel: str, ylabel: str, *, columns: int | None = None, **properties: object) -> None:
-    """Label the axes of a line plot, set their `properties`, and add a grid and, above the plot, a legend.
+    """Label the axes of a line plot, set their matplotlib `properties`, and add a grid and a legend above.
     The legend has `columns` columns, by default two, or three for five curves or more."""
     axes.set(xlabel=xlabel, ylabel=ylabel, **properties)
     axes.grid(True, which="major", color="0.88", linewidth=0.7)
@@ -173,6 +173,6 @@ def finish(axes: Axes, xlabel: str, ylabel: str, *, columns: int | None = None, 
 
 
 def round_down(value: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above a positive value."""
+    """Return the largest number of the form 1, 2 or 5 times a power of ten that is not above `value` > 0."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))

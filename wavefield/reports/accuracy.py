@@ -1,4 +1,4 @@
-"""A report's section on errors: from the cube itself, between pairs of cameras, and against exact fields."""
+"""The section on errors in a report: misfits of a cube, differences between pairs of cameras, true errors."""
 
 import numpy as np
 import xarray as xr
@@ -17,7 +17,7 @@ _STD_UNITS = (("z_std", "mm"), ("u_std", "mm/s"), ("v_std", "mm/s"), ("w_std", "
 
 def accuracy(run: Run) -> ReportSection:
     """Return the section on misfits, standard uncertainties, and differences between pairs of cameras.
-    For a simulated experiment it also has the errors against the exact fields."""
+    For a simulated experiment it also shows the errors, relative to the exact fields."""
     compared = ", errors against the exact fields" if run.truth is not None else ""
     gist = f"misfits, standard uncertainties, pairs of cameras{compared}"
     items = [*_internal(run.cube), *pair_items(run), *_against_truth(run)]
@@ -100,7 +100,7 @@ _NAMES = {
 
 
 def pair_items(run: Run) -> list[Item]:
-    """Return pictures and a table of the errors of each pair of cameras, or a text on why there are none."""
+    """Return pictures and a table of the errors of each pair of cameras, or a text on why they are absent."""
     found = run.pair_statistics
     if found is None:
         return [Text(f"Pairs of cameras are not compared: {run.reason('pair_statistics')}.")]
@@ -132,8 +132,8 @@ def pair_items(run: Run) -> list[Item]:
 
 
 def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
-    """Return a row of texts for each error in `found`, the result of `Run.pair_statistics`.
-    Columns: name; rms, cm; rms, px; percentage beyond three times the rms; Aubourg et al. (2019)."""
+    """Return a table row for each quantity and pair of cameras in `found`, from `Run.pair_statistics`.
+    Columns: error; rms, cm; rms, px; percentage above three times the rms; value of Aubourg et al. (2019)."""
     rows: list[tuple[str, ...]] = []
     for k in range(found.sizes["error"]):
         error = found.isel(error=k)
@@ -150,8 +150,8 @@ def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
 
 
 def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: float, label: str) -> None:
-    """Draw the probability densities of errors of `quantities`, times `factor`; a line per pair of cameras.
-    `found` is `Run.pair_statistics`; `label` is a symbol and the displayed unit, such as "eps_y mm"."""
+    """Draw the probability densities of errors of `quantities`, a line per pair of cameras.
+    `found` is `Run.pair_statistics`; `factor` converts its errors to the unit in `label`: "eps_y mm"."""
     symbol, unit = label.rsplit(" ", 1)
     errors = found.isel(error=np.isin(found.quantity, quantities))
     for k in range(errors.sizes["error"]):
@@ -166,7 +166,7 @@ def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: fl
 
 
 def pair_misfits(found: xr.Dataset) -> Figure:
-    """Draw the distributions of eps_y and of eps' for each pair of cameras, from `Run.pair_statistics`."""
+    """Draw the distributions of epipolar error (eps_y) and displacement misfit (eps') of each camera pair."""
     figure, axes = panels(2, height=4.6)
     _draw(axes[0, 0], found, ("eps_y",), 1e3, "eps_y mm")
     _draw(axes[0, 1], found, ("eps_piv",), 1.0, "eps' px")
@@ -175,8 +175,8 @@ def pair_misfits(found: xr.Dataset) -> Figure:
 
 
 def pair_differences(found: xr.Dataset) -> Figure:
-    """Draw the distributions of differences between pairs of cameras, from `Run.pair_statistics`.
-    The panel of z also shows z of a pair, computed from two other pairs, minus z of this pair itself."""
+    """Draw the distributions of differences in z and displacements, px, between pairs of cameras.
+    The panel of z also compares z of a pair with z computed from two other pairs."""
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     kinds = [("z", "z_recombined"), ("dx",), ("dy",), ("dz",)]
     kinds = [names for names in kinds if np.isin(found.quantity, names).any()]

@@ -1,4 +1,4 @@
-"""The page of a calibration, with pictures and a file of numbers, and its section in a report."""
+"""The page of a calibration, with pictures and a file of numbers, and its section in the report of a run."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -45,8 +45,8 @@ def write_calibration(
     product: Product = REPORT,
 ) -> Path:
     """Write `index.html` and `numbers.yaml` of a calibration into a folder; return the path of the page.
-    `target` is a figure of the target as found in the images. Raises StoreError if one of the files exists
-    and is not an earlier, unchanged output with the same kind and source (`product`)."""
+    `target` is a figure of the target points found in the images. Raises StoreError if one of the files
+    exists and is not an earlier, unchanged output with the same kind and source (`product`)."""
     directory = Path(directory)
     content: dict[str, Any] = {
         "usable": calibration.usable,
@@ -83,7 +83,7 @@ def _figures(
     calibration: Calibration, observations: Observations, fit: Fit, surface: FlatSurface | None
 ) -> Iterator[CalibrationPicture]:
     """Yield name, title and figure of each picture: rig, coverage, flat target, residuals of each camera.
-    `surface` is the target's flat view, triangulated with the rig; None if there is none."""
+    `surface` is the flat target, triangulated with the rig; None if no image shows it flat."""
     with suppress(RigError):  # cameras without a common field
         seen = common_field(calibration.rig.cameras.values())
         yield "rig", "The rig, and the water that all cameras see", rig_views(calibration.rig, seen)
@@ -96,8 +96,9 @@ def _figures(
 
 
 def _parameters(calibration: Calibration, observations: Observations, fit: Fit) -> dict[str, Any]:
-    """Return, by camera, then by name such as "fx_px", each lens parameter with its standard uncertainty.
-    That is 0 if it was not fitted. Also translation, m, and the uncertainties of rotation and translation."""
+    """Return, for each camera, [value, standard uncertainty] of each lens parameter by name, such as "fx_px".
+    The uncertainty is 0 if the parameter was not fitted. Further entries are lists along x, y, z: the
+    translation, m, and the standard uncertainties of rotation, rad, and translation, m."""
     std, covariance = np.sqrt(np.diag(fit.covariance)), fit.covariance
     out: dict[str, Any] = {}
     for c, name in enumerate(observations.cameras):
@@ -207,7 +208,7 @@ def _flat(content: Content) -> str:
 
 
 def _with_std(value: float, std: float) -> str:
-    """Return a lens parameter and its standard uncertainty as text; `std` is 0 if it was not fitted."""
+    """Return a lens parameter and its standard uncertainty as text; `std` 0 means that it was not fitted."""
     return spell_uncertain(value, std, "").replace("+-", "±").strip() if std > 0 else f"{value:.6g} (held)"
 
 
@@ -223,7 +224,7 @@ def _lens(content: Content) -> Table:
 
 
 def rig_sentences(rig: Rig) -> Iterator[str]:
-    """Yield two sentences: distance of each camera from the target's origin; pixel size and common field."""
+    """Yield two sentences: camera distances from the target's origin; pixel size and area all cameras see."""
     distances = ", ".join(
         f"{name} {float(np.linalg.norm(camera.centre)):.2f} m" for name, camera in rig.cameras.items()
     )
@@ -246,7 +247,7 @@ def rig_sentences(rig: Rig) -> Iterator[str]:
 
 
 def calibration_folder(run: Run) -> Path | None:
-    """Return the folder of the calibration report next to the run's rig file; None without such a report."""
+    """Return the folder of the calibration report next to the run's rig file; None if it does not exist."""
     if run.experiment is None or isinstance(run.experiment.rig, dict):
         return None
     rig = run.experiment.resolve(run.experiment.rig or "rig.yaml")
@@ -255,7 +256,7 @@ def calibration_folder(run: Run) -> Path | None:
 
 
 def calibration_section(run: Run) -> ReportSection:
-    """Return the section with the residuals of the calibration; empty if no report is next to the rig."""
+    """Return the section on the residuals of the calibration; empty without a calibration report."""
     section = ReportSection("Calibration", folded=True)
     folder = calibration_folder(run)
     if folder is None:

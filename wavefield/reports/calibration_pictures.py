@@ -1,4 +1,4 @@
-"""Pictures of a calibration: residuals, positions of the target, its flat view, points found in images."""
+"""Figures of a calibration: residuals, target positions, z of the flat target, points found in images."""
 
 from collections.abc import Mapping, Sequence
 
@@ -38,7 +38,7 @@ def _image_frame(axes: Axes, size: tuple[int, int]) -> None:
 
 def _draw_arrows(axes: Axes, pixel: Array, residual: Array, length: float, width: float, colour: str) -> None:
     """Draw residuals (n, 2), px, as arrows at the image points `pixel` (n, 2), column and row, px.
-    A residual of the 90 % quantile is drawn `length` px long; `width` is an argument of `quiver`."""
+    The 90 % quantile of their lengths is drawn `length` px long; `width` is an argument of `quiver`."""
     large = float(np.percentile(np.hypot(*residual.T), 90)) or 1e-9
     arrows = axes.quiver(
         *pixel.T, *residual.T, angles="xy", scale_units="xy", scale=large / length, width=width, color=colour
@@ -88,7 +88,7 @@ def residual_map(observations: Observations, fit: Fit, camera: int) -> Figure:
 
 
 def coverage(observations: Observations) -> Figure:
-    """Draw where in the images of each camera the target's points are, with one colour per target pose."""
+    """Draw the positions of the target's points in the images of each camera, one colour per target pose."""
     o = observations
     count = len(o.cameras)
     figure = _figure(3.9 * count + 0.3, 4.6)
@@ -113,7 +113,7 @@ def coverage(observations: Observations) -> Figure:
 
 
 def flat_target(surface: FlatSurface, mesh: float) -> Figure:
-    """Draw z of the target's points in its flat view, triangulated with the rig; `mesh` is the spacing, m."""
+    """Draw z of the points of the flat target, triangulated with the rig; `mesh` is their spacing, m."""
     figure = _figure(10.4, 6.0)
     axes = figure.subplots()
     kept = surface.plane.kept
@@ -139,7 +139,7 @@ def target_points(
     images: Mapping[str, np.ndarray], points: Mapping[str, TargetPoints], rig: Rig | None
 ) -> Figure:
     """Draw one image (row, column) of the target per camera, with the target's `points` found in it.
-    With `rig`, a circle marks x = y = z = 0; the target must then lie in the plane z = 0."""
+    With `rig`, a circle marks the origin x = y = z = 0; the target must then lie in the plane z = 0."""
     figure, axes = panels(len(images), width=4.0, height=3.8)
     marks = {"marker": "+", "linestyle": "", "color": LINES[2]["color"], "markersize": 5}
     for ax, (name, image) in zip(axes[0], images.items(), strict=True):
@@ -154,7 +154,7 @@ def target_points(
 
 
 def draw_found(result: TargetRig) -> Figure | None:
-    """Draw one target image per camera with the points found in it, if possible of the target's flat pose.
+    """Draw one target image per camera with the points found in it, if possible with the target lying flat.
     Cameras whose points were read from a table are left out; the result is None if no camera is left."""
     poses = {
         camera: "flat" if "flat" in found else max(found, key=lambda pose: len(found[pose]))

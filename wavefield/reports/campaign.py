@@ -38,7 +38,7 @@ def compare(title: str, cubes: Sequence[tuple[str, Path]], output: str | Path) -
 
 
 def _groups(cube: Path) -> dict[str, xr.Dataset]:
-    """Return those of the groups "statistics" and "kinematics" that a cube's wave store has, by name."""
+    """Return the groups "statistics" and "kinematics" of a cube's wave store, by name, if they exist."""
     run, names = open_run(cube), ("statistics", "kinematics")
     return {name: group for name in names if (group := run.wave_group(name)) is not None}
 

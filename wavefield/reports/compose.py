@@ -62,7 +62,7 @@ def report(
 
 
 def measured_run(store: str | Path) -> Run:
-    """Return the run that writes or wrote a cube; raise StoreError if it has not done any step yet."""
+    """Return the run that writes or wrote a cube; raise StoreError if none of its steps is finished yet."""
     run = open_run(store)
     if not (run.cube.frame_status.values > 0).any():
         raise StoreError(f"{store} has no measured step yet; run `wavefield run` first")
@@ -85,7 +85,7 @@ def write_report(
 
 def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSection]]:
     """Return functions, in the order of the report, that each draw one section.
-    For a run in a light sheet, the sections on waves, elevation and distributions are left out."""
+    For velocities in a light sheet, the sections on waves, elevation and distributions are left out."""
     numbers = RunNumbers(run)
     builders: list[Callable[[], ReportSection]] = [partial(result, numbers), partial(attention, run, verdict)]
     of_surface = [] if in_light_sheet(run) else [spectra, nonlinearity, distributions]
@@ -98,7 +98,7 @@ def builders_of(run: Run, verdict: Verdict | None) -> list[Callable[[], ReportSe
 def build_all(
     builders: list[Callable[[], ReportSection]], progress: Callable[[int, int], None] | None
 ) -> list[ReportSection]:
-    """Return the sections that the functions `builders` draw.
+    """Call the functions `builders`, and return the sections that they draw.
     `progress` is called with the number of sections drawn and the number of all sections."""
     sections = []
     for k, build in enumerate(builders):
@@ -111,7 +111,7 @@ def build_all(
 
 
 def head_of(run: Run, verdict: Verdict | None) -> Head:
-    """Return the top of the report: title, description of the experiment, date, and line of the verdict."""
+    """Return the top of the report: title, description of the experiment, date, and one-line verdict."""
     made = f"This page made {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}".strip()
     return Head(
         f"{experiment_name(run)}: {'velocity' if in_light_sheet(run) else 'water surface and velocity'}",

@@ -1,4 +1,4 @@
-"""A report's sections on set-up, elevation, distributions and coverage; data of its surface animation."""
+"""Sections of a report on set-up, elevation, distributions and coverage, and the data of its animation."""
 
 import base64
 import json
@@ -30,7 +30,7 @@ def surface_picture(snap: xr.Dataset) -> Picture:
 
 
 def snapshots(run: Run) -> ReportSection:
-    """Return the section with pictures of the surface and of its velocity at one step near mid-record."""
+    """Return the section with pictures of the surface and its velocity at one step near mid-record."""
     snap = snapshot(run.cube)
     velocity = Picture(
         figures.velocity_map(snap),
@@ -122,8 +122,8 @@ def setup(run: Run) -> ReportSection:
 
 
 def _middle_frames(run: Run) -> dict[str, np.ndarray]:
-    """Return an image (row, column) of each camera of the rig: the middle frame, or else the first or last.
-    Cameras of which none of these can be read are left out."""
+    """Return, by camera of the rig, its middle frame (row, column), or the first or last that can be read.
+    Cameras are left out if none of these three can be read."""
     out = {}
     for name, series in run.frames.items():
         if run.rig is not None and name in run.rig.cameras:
@@ -142,7 +142,7 @@ def elevation(run: Run) -> ReportSection:
 
 
 def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
-    """Return the wave probes of a run and "", or None and why probes that the experiment names are absent.
+    """Return the wave probes of a run and "". Without probes, return None and the reason why they are absent.
     The reason is empty if the experiment names no probes."""
     try:
         probes = run.probes
@@ -153,7 +153,7 @@ def probes_of(run: Run) -> tuple[xr.Dataset | None, str]:
 
 
 def elevation_pictures(run: Run) -> list[Item]:
-    """Return a picture of the elevation spectrum by each method; [] if the waves are not analysed."""
+    """Return a picture of the elevation spectra by all methods; [] if the waves are not analysed."""
     group, fusion = run.wave_group("spectra"), run.wave_group("fusion")
     if group is None or "Ez" not in group:
         return []
@@ -177,7 +177,7 @@ def elevation_pictures(run: Run) -> list[Item]:
 
 
 def probe_items(run: Run) -> list[Item]:
-    """Return a picture of z by probes and by cameras over time, and a table of the differences at each probe.
+    """Return a picture of the elevation over time, by probes and cameras, and a table of differences.
     The list is empty if the run has no probes; it has only the table if no probe can be compared."""
     probes, _ = probes_of(run)
     if probes is None:
@@ -210,8 +210,8 @@ def probe_items(run: Run) -> list[Item]:
 
 def at_probe(cube: xr.Dataset, probe: xr.Dataset) -> xr.Dataset | str:
     """Compare a probe with z of a cube at its position, in up to 1500 steps in the middle of the record.
-    Return z and elevation (time,), each minus its mean, m, with rms_difference, m, and correlation.
-    If they cannot be compared, return the reason as a string."""
+    Return z of the cube and elevation by the probe (time,), each minus its mean, m, with rms_difference, m,
+    and correlation. If they cannot be compared, return the reason as a string."""
     first = max(0, (cube.sizes["time"] - MAX_STEPS) // 2)
     z = cube.z.isel(time=slice(first, first + MAX_STEPS))
     time, x, y = z["time"].values.astype(float), float(probe.probe_x), float(probe.probe_y)
@@ -248,8 +248,8 @@ MAX_BYTES = 1_500_000  # of the uncompressed fields; compression halves them at 
 
 
 def excerpt(cube: xr.Dataset) -> xr.Dataset:
-    """Return z, u, v, w (time, y, x), loaded, for the animation.
-    Only steps in the middle of the record and every n-th node are kept, so that they fit into a page."""
+    """Return the part of z, u, v, w (time, y, x) that the animation shows, loaded.
+    To limit the size of the page, it has only steps in the middle of the record and every n-th node."""
     every = max(1, int(np.ceil(np.sqrt(cube.sizes["x"] * cube.sizes["y"] / MAX_NODES))))
     part = cube[["z", "u", "v", "w"]].isel(x=slice(None, None, every), y=slice(None, None, every))
     steps = max(2, MAX_BYTES // (2 * part.sizes["x"] * part.sizes["y"]))
@@ -258,8 +258,8 @@ def excerpt(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _code(values: np.ndarray, half: float) -> str:
-    """Encode values (time, y, x) from -half to half as codes 1 to 255, missing ones as 0, for the animation.
-    Differences of the codes along x and y, modulo 256, are compressed and returned as base-64 text."""
+    """Return values (time, y, x) from -`half` to `half` as codes 1 to 255, missing ones as 0, in base 64.
+    What is compressed and written are differences of the codes along x and y, modulo 256."""
     scaled = np.round(np.clip(128 + 127 * values / half, 1, 255))
     codes = np.where(np.isfinite(values), scaled, 0).astype(np.uint8)
     differences = np.diff(np.diff(codes, axis=2, prepend=np.uint8(0)), axis=1, prepend=np.uint8(0))
@@ -267,7 +267,7 @@ def _code(values: np.ndarray, half: float) -> str:
 
 
 def pack(cube: xr.Dataset) -> dict[str, str]:
-    """Return the data of the animation of a cube (time, y, x): texts for the script of the page, by HTML id.
+    """Return the data of the animation of a cube (time, y, x): texts for the page's script, by HTML id.
     "field-description" is JSON; "field-z", "field-w", "field-u" and "field-v" are encoded by `_code`."""
     part = excerpt(cube)
     some = thin(part.sizes["x"], part.sizes["y"])

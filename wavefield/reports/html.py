@@ -25,7 +25,7 @@ WIDE_PX = 1000  # a wider picture has several panels and takes a row of its own
 
 
 class Item:
-    """Base class of the parts of a section: pictures, tables, texts, ..."""
+    """Base class of what a section of a page can contain: pictures, tables, texts, ..."""
 
     @property
     def kind(self) -> str:
@@ -106,7 +106,7 @@ class Player(Item):
 
 @dataclass
 class ReportSection:
-    """A section of a page; `render` leaves it out if it has no items."""
+    """A section of a page, with a title and items; `render` leaves it out if it has no items."""
 
     title: str
     items: list[Item] = field(default_factory=list)

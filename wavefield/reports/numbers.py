@@ -1,4 +1,4 @@
-"""Numbers that several sections of a report need, and how numbers are written as text."""
+"""Compute numbers that several sections of a report need, and write numbers as text."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,15 +31,15 @@ def median_of(values: object) -> float:
 
 
 def number(value: float, unit: str = "", digits: int = 3) -> str:
-    """Return a value with its unit as text, to some significant digits; a dash if it is not finite."""
+    """Return a value with its unit as text, to `digits` significant digits; a dash if it is not finite."""
     if not np.isfinite(value):
         return "–"
     return f"{value:.{digits}g}{' ' + unit if unit else ''}"
 
 
 def with_interval(group: xr.Dataset | None, name: str, factor: float = 1.0) -> str:
-    """Return the value ± standard uncertainty of a variable, times `factor`, as text such as "5.03 ± 0.41".
-    The text is empty if the group of the wave store, `name` or `name`_std is missing or not finite."""
+    """Return `name` ± `name`_std (standard uncertainty) in a group, times `factor`, as text: "5.03 ± 0.41".
+    The text is empty if the group of the wave store or a variable is missing, or a value is not finite."""
     if group is None or not {name, f"{name}_std"} <= set(group):
         return ""
     value, std = factor * float(group[name]), factor * float(group[f"{name}_std"])
@@ -58,7 +58,7 @@ def thinned(cube: xr.Dataset, *names: str) -> xr.Dataset:
 
 
 def snapshot(cube: xr.Dataset) -> xr.Dataset:
-    """Return the step (y, x), loaded, with most finite values of w within 10 steps of mid-record."""
+    """Return one step (y, x), loaded: of those within 10 steps of mid-record, the one with most finite w."""
     middle = cube.sizes["time"] // 2
     near = cube.isel(time=slice(max(0, middle - _SNAPSHOT_STEPS), middle + _SNAPSHOT_STEPS + 1))
     shares = np.isfinite(near.w).mean(("y", "x")).values
@@ -96,35 +96,36 @@ def in_light_sheet(run: Run) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class RunNumbers:
-    """Coverage of a run and status of its steps, with the fields they are computed from, for all sections."""
+    """Numbers of a run for all sections of its report: coverage, status of its steps, and the main fields."""
 
     run: Run
 
     @cached_property
     def part(self) -> xr.Dataset:
-        """The main fields (time, y, x), loaded; a large cube is thinned in time."""
+        """The fields z, u, v, w, eps_y, eps_piv and quality (time, y, x), loaded; large ones thinned in
+        time."""
         return thinned(self.run.cube, *_FIELDS)
 
     @cached_property
     def n_in_view(self) -> int:
-        """Number of values of `part` at nodes that the cameras see, at least 1."""
+        """Number of values, in one field of `part`, at nodes that the cameras see; at least 1."""
         quality = self.part.quality
         seen = (quality != 0) & ((quality & np.uint16(Quality.OUTSIDE | Quality.MASKED)) == 0)
         return max(int(seen.sum()), 1)
 
     @property
     def in_view(self) -> float:
-        """Fraction of all values of `part` that are at nodes that the cameras see."""
+        """Fraction of the values in one field of `part` that are at nodes that the cameras see."""
         return float(self.n_in_view / self.part.quality.size)
 
     @property
     def measured(self) -> float:
-        """Fraction of all values of `part` that were measured, not filled."""
+        """Fraction of the values in one field of `part` that were measured, not filled from neighbours."""
         return float(((self.part.quality & int(Quality.MEASURED)) != 0).mean())
 
     @property
     def step_status(self) -> str:
-        """Number of steps with each `frame_status`, as text."""
+        """Number of steps with each status (done, failed, ...), as text."""
         status = self.run.cube.frame_status.values
         counts = {s.name.lower().replace("_", " "): int((status == s).sum()) for s in FrameStatus}
         return ", ".join(f"{n} {words}" for words, n in counts.items() if n)

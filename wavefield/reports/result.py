@@ -36,7 +36,7 @@ def result(numbers: RunNumbers) -> ReportSection:
 
 
 def facts(numbers: RunNumbers) -> list[tuple[str, str, str]]:
-    """Return the main results (waves, velocity, coverage, ...): name, value and note of each, as text."""
+    """Return the main results (waves, velocity, coverage, ...) as rows of texts: name, value, note."""
     run, cube = numbers.run, numbers.run.cube
     rate, u, v, w = float(cube.attrs["frame_rate"]), *(number(100 * rms_of(numbers.part[n])) for n in "uvw")
     duration = cube.sizes["time"] / rate
@@ -72,7 +72,7 @@ def _percent(share: float) -> str:
 
 
 def _of_waves(run: Run) -> list[tuple[str, str, str]]:
-    """Return rows (name, value ± standard uncertainty, note) of wave height and peak period."""
+    """Return rows of texts (name, value ± standard uncertainty, note) for wave height and peak period."""
     statistics = run.wave_group("statistics")
     if statistics is None:
         reason = reason_of(run, "waves") or "the waves have no statistics"
@@ -94,7 +94,7 @@ def _of_waves(run: Run) -> list[tuple[str, str, str]]:
 
 
 def attention(run: Run, verdict: Verdict | None) -> ReportSection:
-    """Return the section with the remarks of the verdict, and with what the report lacks and why."""
+    """Return the section with the remarks of the verdict, and with what the report lacks, and why."""
     items: list[Item] = []
     if verdict is None:
         items.append(Text("This cube has no verdict yet: rerun `wavefield run` on its experiment."))

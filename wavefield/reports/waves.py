@@ -1,4 +1,4 @@
-"""A report's sections on spectra, and on the kinematic boundary condition and coherence."""
+"""Sections of a report: spectra of the waves; kinematic boundary condition of the surface and coherence."""
 
 import numpy as np
 import xarray as xr
@@ -11,7 +11,7 @@ from wavefield.waves.motion import kinematics_at
 
 
 def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[Item]:
-    """Return pictures of E(k, omega) and E(kx, ky) of w, from the groups `/spectra` and `/dispersion`."""
+    """Return pictures of E(k, omega) and E(kx, ky) of w, from two groups of a wave store, for a report."""
     energy = group.E.sel(quantity="w").values
     positive = energy[energy > 0]
     decades = float(np.log10(positive.max() / np.median(positive))) if positive.size else 0.0
@@ -33,7 +33,7 @@ def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[
 
 
 def _on_relation(dispersion: xr.Dataset | None) -> str:
-    """Return a phrase on how much of the variance of w follows the dispersion relation; empty if unknown."""
+    """Return a phrase with the percentage of the variance of w on the dispersion relation; "" if unknown."""
     if dispersion is None or "ridge_fraction" not in dispersion:
         return ""
     percent = 100 * float(dispersion.ridge_fraction)
@@ -41,7 +41,7 @@ def _on_relation(dispersion: xr.Dataset | None) -> str:
 
 
 def spectra(run: Run) -> ReportSection:
-    """Return the section with the spectra that `wavefield analyze` wrote; it has no items without them."""
+    """Return the section on the spectra that `wavefield analyze` wrote; it is empty if there are none."""
     section = ReportSection("Spectra", folded=True)
     group, dispersion = run.wave_group("spectra"), run.wave_group("dispersion")
     if run.waves is None or group is None:
@@ -104,7 +104,8 @@ def kinematics_picture(snap: xr.Dataset) -> Picture:
 
 
 def coherence_picture(coherence: xr.Dataset) -> Picture:
-    """Return a picture of the coherence of z_t with w, -u . grad z and their sum, from group `/coherence`."""
+    """Return a picture of the coherence of z_t with w, with -u . grad z, and with the sum of these two.
+    `coherence` is the group `/coherence` of a wave store."""
     valid = coherence.where(coherence["valid"]) if "valid" in coherence else coherence
     total, nonlinear = (median_of(np.abs(valid.C.sel(term=term).values)) for term in ("tot", "nl"))
     return Picture(

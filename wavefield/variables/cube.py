@@ -29,7 +29,7 @@ class Quality(IntFlag):
 
     @classmethod
     def without(cls, number: int) -> "Quality":
-        """Return the bits of a node that was measured without one camera.
+        """Return the bits of `quality` at a node that was measured without one of the cameras.
         `number` is the index of this camera, from 0, in the attribute ``cameras`` of the cube."""
         return cls.FEWER_CAMERAS | cls(cls.WITHOUT_1.value << min(number, 5))
 
@@ -72,7 +72,8 @@ INSTANTANEOUS = 1  # value of `path_frames`: instantaneous velocities, as of a m
 
 
 def frames_of_path(code: int) -> int:
-    """Return how many frames a value of ``path_frames`` stands for: itself, but 6 for `EXACT_SIX`."""
+    """Return the number of frames used for a displacement, given its code in the variable ``path_frames``.
+    The code is this number, except that `EXACT_SIX` stands for 6 frames."""
     return 6 if code == EXACT_SIX else code
 
 

@@ -21,7 +21,7 @@ _KNOWN = {
 
 
 def _powers(unit: str) -> dict[str, int]:
-    """Return the power of each unit in text such as "m s-1" or "cm/s"; ValueError for another form."""
+    """Return the exponent of each unit in text such as "m s-1" or "cm/s"; ValueError if unreadable."""
     out: dict[str, int] = {}
     for token in unit.replace("/", " /").split():
         sign = -1 if token.startswith("/") else 1
@@ -46,7 +46,7 @@ def product(*factors: tuple[str, int]) -> str:
 
 
 def factor(given: str, requested: str) -> float | None:
-    """Return the factor from a given to a requested unit, such as 0.01 from "cm/s" to "m s-1".
+    """Return the factor that converts from a given to a requested unit: 0.01 from "cm/s" to "m s-1".
     None if the units measure different quantities, or if one cannot be read."""
     scale = 1.0
     left: dict[str, int] = {}
@@ -102,7 +102,7 @@ class Variable:
         return out | dict(self.extra)
 
     def of(self, what: str, units: str) -> dict[str, Any]:
-        """Return the attributes with " of `what`" added to the long name, and with other units."""
+        """Return the attributes with " of `what`" appended to the long name, and with the given units."""
         return self.attrs | {"long_name": f"{self.long_name} of {what}", "units": units}
 
 
@@ -117,8 +117,8 @@ def register(*rows: Variable) -> None:
 
 
 def find(name: str, group: str = "") -> Variable | None:
-    """Return the row of the table for a variable of a group, or else for this name without a group.
-    None if there is neither."""
+    """Return the row of the table for the variable `name` of a group, or else for `name` without a group.
+    None if the table has neither row."""
     return TABLE.get(f"{group}/{name}", TABLE.get(name))
 
 
@@ -129,7 +129,7 @@ def rows_of(group: str) -> Iterator[Variable]:
 
 def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
     """Return a copy of a dataset in which each variable has the attributes of its row in the table.
-    Rows of `group` are preferred; variables without a row keep their attributes."""
+    Rows of `group` come before rows without a group; variables without a row keep their attributes."""
     out = dataset.copy()
     for name in [*out.coords, *out.data_vars]:
         row = find(str(name), group)
@@ -139,7 +139,7 @@ def annotate(dataset: "xr.Dataset", group: str = "") -> "xr.Dataset":
 
 
 def _one(array: "xr.DataArray", row: Variable) -> Any:
-    """Return an array with the order of dimensions and the units of its row in the table.
+    """Return an array with its dimensions in the order, and its values in the units, of its row in the table.
     CubeError if its dimensions, type or units do not fit."""
     if set(array.dims) != set(row.dims):
         raise CubeError(f"{row.name!r} has dimensions {array.dims}, expected {row.dims}")
@@ -168,8 +168,8 @@ def _lazy(array: "xr.DataArray") -> Any:
 
 def validate(dataset: "xr.Dataset", *names: str) -> "xr.Dataset":
     """Return the named variables of a dataset, with dimensions in the order and units of the table.
-    Units are converted (cm to m), and floating-point variables get a common type. Data on disk stay there
-    until they are read. CubeError if a variable is absent, or if its dimensions, type or units do not fit."""
+    Units are converted (cm to m), floating-point variables get a common type, and data on disk stay there.
+    CubeError if a variable is absent, or if its dimensions, type or units do not fit."""
     out = {}
     for name in names:
         row = TABLE[name]

@@ -1,4 +1,4 @@
-"""The variables of a wave store: spectra are named by rule, `wave_variables.txt` lists the others."""
+"""The table of variables of a wave store; rules name the spectra, and a text file lists the others."""
 
 import re
 from pathlib import Path
@@ -23,8 +23,8 @@ ELEVATION_UNITS = "m2 s rad-1"
 
 
 def density_units(unit: str, *over: str) -> str:
-    """Return the units of the power spectral density of a quantity, given in `unit`, over some axes.
-    `over` names the axes, each "k" or "omega".
+    """Return the units of a power spectral density of a quantity in `unit`, per unit of each axis in `over`.
+    An axis is "k" (wavenumber, rad/m) or "omega" (angular frequency, rad/s).
 
     Examples
     --------
@@ -181,7 +181,7 @@ _SECTION = re.compile(r"/(\w*) \(([\w, ]*)\) ?(\w*)")
 
 
 def _rows(text: str) -> list[Variable]:
-    """Return the variables in the text of `wave_variables.txt`, whose first lines explain its format."""
+    """Return the variables listed in the text of `wave_variables.txt`, which explains its format."""
     rows: list[Variable] = []
     group, dims, dtype = "", (), ""
     for line in text.replace("\n|", " |").splitlines():
