@@ -9,7 +9,7 @@ __all__ = ["__version__", *_names]
 
 
 def _version() -> str:
-    """Return the installed version of wavefield; "0+unknown" in a source tree that is not installed."""
+    """Return the version of the installed package; "0+unknown" if wavefield is not installed."""
     from importlib.metadata import PackageNotFoundError, version  # half of what `wavefield --help` would cost
 
     try:

@@ -1,4 +1,4 @@
-"""Run the command line by ``python -m wavefield`` where the script ``wavefield`` is not on the path."""
+"""Run the command line with ``python -m wavefield``, for example where ``wavefield`` is not on the path."""
 
 import sys
 

@@ -35,14 +35,14 @@ MARK_ATTRIBUTE = "wavefield_mark"  # of the root of a Zarr store
 
 @dataclass(frozen=True)
 class Product:
-    """What the mark of an output states: the kind of output, and the data from which it was made."""
+    """The kind of an output and the data from which it was made, as the mark in the output states them."""
 
     kind: str  # Such as "report" or "wave store", in small letters
     source: str = "0" * 16  # Identity of the data from which the output is made (`identity_of`)
 
 
 def identity_of(*parts: object) -> str:
-    """Return a hash of `parts`, written as JSON: sixteen hexadecimal digits that identify data."""
+    """Return sixteen hexadecimal digits that identify `parts`: a hash of their JSON text."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
@@ -57,9 +57,9 @@ def file_names(folder: Path) -> list[str]:
 
 
 def read_mark(path: Path) -> Product | None:
-    """Return the kind and source in the mark of a file or Zarr store of wavefield, as a `Product`.
-    None if there is no mark, or if the content was changed after it was marked. StoreError if the user may
-    not read the file."""
+    """Return the `Product` (kind and source) that wavefield wrote into the mark of a file or Zarr store.
+    None without a mark, or if the content was changed after it was marked. StoreError if the user may not
+    read the file."""
     try:
         if path.is_dir():
             mark = json.loads((path / "zarr.json").read_bytes())["attributes"][MARK_ATTRIBUTE]
@@ -79,15 +79,15 @@ def read_mark(path: Path) -> Product | None:
 
 
 def has_mark(store: Path) -> bool:
-    """Whether a Zarr store has a mark of wavefield, even if its content was changed since."""
+    """Return whether a Zarr store has a mark of wavefield, even if its content was changed later."""
     with suppress(OSError):
         return MARK_ATTRIBUTE.encode() in (store / "zarr.json").read_bytes()
     return False
 
 
 def write_mark(path: Path, product: Product) -> None:
-    """Append a mark to a finished file, or add it to the attributes of a finished Zarr store.
-    The mark is the kind and source of `product`, and a digest of the content."""
+    """Mark a finished file (at its end) or Zarr store (in its attributes) as an output of wavefield.
+    The mark contains the kind and source in `product`, and a digest of the content."""
     if path.is_dir():
         file = path / "zarr.json"
         data = json.loads(file.read_bytes())
@@ -101,7 +101,7 @@ def write_mark(path: Path, product: Product) -> None:
 
 
 def _digest(path: Path) -> str:
-    """Return the digest of the content of a file, or of all files of a Zarr store; the mark is left out."""
+    """Return a digest of the content, without the mark, of a file or of all files of a Zarr store."""
     digest = hashlib.blake2b(digest_size=16)
     if path.is_dir():
         for name in file_names(path):
@@ -127,8 +127,8 @@ def _digest(path: Path) -> str:
 
 def check_replaceable(path: Path, product: Product | None = None, replace: bool = False) -> None:
     """Raise StoreError if `path` exists and must not be replaced.
-    An empty folder may be replaced, and so may an unchanged output with the mark `product`. If `replace` is
-    true, any plain file may be replaced. Links, pipes and devices must never be replaced."""
+    An empty folder may be replaced, and so may an unchanged output of the kind and source in `product`. If
+    `replace` is true, any plain file may be replaced. Links, pipes and devices are never replaced."""
     try:
         mode = os.lstat(path).st_mode
     except FileNotFoundError:
@@ -158,7 +158,7 @@ def check_replaceable(path: Path, product: Product | None = None, replace: bool 
 
 
 def refuse_input(path: Path, *inputs: object) -> None:
-    """Raise StoreError if the output `path` is one of `inputs`, or is inside a Zarr store among them.
+    """Raise StoreError if the output `path` is one of `inputs`, or lies inside a Zarr store in `inputs`.
     `inputs` are the files and stores that the same command reads; entries that are not paths are ignored."""
     for one in inputs:
         if not isinstance(one, str | Path):
@@ -175,10 +175,10 @@ def atomic(
     path: str | Path, product: Product | None = None, *, replace: bool = False, inputs: Iterable[object] = ()
 ) -> Iterator[Path]:
     """Context manager: yield a temporary path for an output, which is renamed to `path` at the end.
-    If the block raises, `path` stays as it was. With a `product` the output gets this mark, and may replace
-    an unchanged output of the same mark. With `replace` it may replace any plain file. `inputs` are files and
-    stores that the same command reads. StoreError if something at `path` must not be replaced, if `path` is
-    one of `inputs`, or if it cannot be written."""
+    If the block raises an error, `path` stays as it was. With a `product`, the output is marked with this
+    kind and source, and may replace an unchanged output of the same kind and source. With `replace` it may
+    replace any plain file. `inputs` are files and stores that the same command reads. Raises StoreError if
+    something at `path` must not be replaced, if `path` is one of `inputs`, or if it cannot be written."""
     path = Path(path)
     with writing(path):
         refuse_input(path, *inputs)
@@ -202,8 +202,8 @@ def atomic(
 
 @contextmanager
 def _draft_folder(path: Path) -> Iterator[Path]:
-    """Context manager: yield a new, locked folder next to `path`, and remove this folder at the end.
-    Folders of this kind that killed processes have left are removed at the start."""
+    """Context manager: yield a new, locked folder next to `path` for drafts, and remove it at the end.
+    Such folders that killed processes left behind are removed at the start."""
     remove_leftovers(path)
     folder = path.with_name(f"{_DRAFT}{uuid.uuid4().hex}")
     at_exit = functools.partial(shutil.rmtree, folder, ignore_errors=True)
@@ -222,7 +222,7 @@ def _draft_folder(path: Path) -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder and its content; an interruption by a signal is raised only afterwards.
+    """Remove a folder and its content. An interruption by a signal is raised after the removal.
     Attempts are repeated for some seconds, since threads of Zarr may still write into the folder."""
     stop: BaseException | None = None
     for _ in range(_REMOVALS):
@@ -240,15 +240,15 @@ def _remove(folder: Path) -> None:
 
 
 def _put_back(folder: Path, path: Path) -> None:
-    """Move `folder`/old, the output that was to be replaced, back to `path` if nothing is at `path`."""
+    """Move the earlier output from `folder`/old back to `path`, if nothing is at `path` (after a failure)."""
     with suppress(OSError):
         if (folder / "old").is_dir() and not os.path.lexists(path):
             (folder / "old").rename(path)
 
 
 def remove_leftovers(path: Path) -> None:
-    """Remove the unfinished outputs that killed processes have left next to `path`.
-    An earlier output that such a process had moved away is put back."""
+    """Remove the unfinished outputs that killed processes have left in the folder of `path`.
+    If such a process had moved an earlier output away to replace it, put this output back."""
     with suppress(OSError):
         for entry in list(os.scandir(path.parent)):
             if not entry.name.startswith(_DRAFT):
@@ -263,7 +263,7 @@ def remove_leftovers(path: Path) -> None:
 
 
 def make_durable(paths: Iterable[Path]) -> None:
-    """Wait until files and folders are on the disk (fsync); OSError if the disk fails.
+    """Wait until files and folders are stored on the disk (fsync); OSError if the disk fails.
     Paths that do not exist, or that the user may not read, are skipped."""
     for path in paths:
         try:
@@ -280,7 +280,8 @@ def make_durable(paths: Iterable[Path]) -> None:
 
 
 def write_text(path: str | Path, text: str, product: Product | None = None, *, replace: bool = False) -> None:
-    """Write a text file (UTF-8), completely or not at all; `product` and `replace` are those of `atomic`."""
+    """Write a text file (UTF-8), completely or not at all. With a `product`, mark it with kind and source.
+    It may replace an unchanged file with the same mark and, with `replace`, any plain file."""
     with atomic(path, product, replace=replace) as draft:
         draft.write_text(text, encoding="utf-8")
 
@@ -288,7 +289,7 @@ def write_text(path: str | Path, text: str, product: Product | None = None, *, r
 def check_writable(
     path: str | Path, product: Product | None = None, *, inputs: Iterable[object] = ()
 ) -> None:
-    """Raise StoreError if `atomic` could not write `path` with these arguments.
+    """Raise StoreError if `atomic` with the same arguments could not write `path`.
     The folder that contains `path` is created if it is absent."""
     path = Path(path)
     with writing(path):
@@ -301,7 +302,7 @@ def check_writable(
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Context manager: turn an OSError of the block into a StoreError that names `path` and a remedy."""
+    """Context manager: turn an OSError raised in it into a StoreError that names `path` and a remedy."""
     try:
         yield
     except OSError as error:

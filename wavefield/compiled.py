@@ -21,9 +21,9 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 
 def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
     """Decorator: compile a loop over plain arrays with numba, and keep the compiled code on disk.
-    `signature` are numba's function types, or lists of them, for which the loop is compiled at once, and only
-    for these. Without a signature it is compiled when it is first called. `options` are those of
-    `numba.njit`. The loop runs without the GIL."""
+    `signature` are numba's function types, or lists of them: the loop is compiled for these immediately, and
+    for no others. Without a signature it is compiled when first called. `options` are arguments of
+    `numba.njit`. The loop runs without the GIL (global interpreter lock)."""
     njit: Any = numba.njit  # its type hints do not accept options as a mapping
 
     def decorate(loop: Loop) -> Loop:
@@ -47,8 +47,8 @@ def compiled(*signature: object, **options: object) -> Callable[[Loop], Loop]:
 
 class _CompiledFiles:
     """The files with the compiled code of one loop, one file for each combination of argument types.
-    Their names contain a hash of sources, types and processor, so that processes need no lock and no index.
-    numba calls `save` and `load`."""
+    A file's name contains a hash of sources, types and processor, so that processes need no lock and no
+    index. numba calls the methods `save` and `load`."""
 
     def __init__(self, folder: Path, base: str, loop: Callable[..., object]) -> None:
         self._folder, self._base = folder, base
@@ -94,8 +94,8 @@ class _CompiledFiles:
 
 @functools.cache
 def _digest_of_sources(folder: Path) -> str:
-    """Return one digest of all sources in a folder that contain compiled loops.
-    The sources share it, because compiled loops contain the loops they call, from other sources too."""
+    """Return one digest of all Python files in a folder that contain compiled loops.
+    One digest serves all loops, because compiled code includes the loops that it calls in other files."""
     digest = hashlib.sha256()
     for path in sorted(folder.glob("*.py")):
         source = path.read_bytes()

@@ -1,7 +1,7 @@
-"""Settings that people write by hand: checked section by section; errors name file, line and remedy.
+"""Read and check settings that people write by hand; errors name file, line and remedy.
 
-A section is a pydantic model (`ConfigSection`) or a frozen dataclass. `load` reads one from a YAML file,
-`make` from plain data that was read already.
+Settings consist of sections. A section is a pydantic model (`ConfigSection`) or a frozen dataclass. `load`
+reads one from a YAML file, `make` from plain data that was read already.
 """
 
 import dataclasses
@@ -47,9 +47,9 @@ def safe_name(name: str) -> str:
 
 
 def portable_path(path: str) -> str:
-    r"""Return a path unchanged; ValueError if it cannot be used on Linux, macOS and Windows alike.
-    ValueError for names of over 255 bytes, for control characters, and for backslashes. Backslashes are
-    accepted on Windows, and elsewhere if `path` exists. A URL, with ://, is not checked."""
+    r"""Return a path unchanged; raise ValueError if it cannot be used on Linux, macOS and Windows alike.
+    Such paths contain names of over 255 bytes, control characters, or backslashes. Backslashes are accepted
+    on Windows, and elsewhere if `path` exists. A URL, with ://, is not checked."""
     if "://" in path:  # an address, which may contain a password
         return path
     if any(len(part.encode()) > MAX_NAME_BYTES for part in path.split("/")):
@@ -66,14 +66,14 @@ PathText = Annotated[str, AfterValidator(portable_path)]
 
 
 class ConfigSection(BaseModel):
-    """Base class of the sections of a settings file, which are immutable.
+    """Immutable base class of the sections of a settings file.
     Unknown keys, infinity and NaN raise errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
 
 
 def load(kind: type[T], path: Path, data: Mapping[str, object] | None = None) -> T:
-    """Read a YAML file, check its values, and return them as a `kind`: a pydantic model or a dataclass.
+    """Read a YAML file, check its values, and return them as an instance of `kind`, a section's class.
     `data` is the file's content if it was read already. ExperimentError, which names the line and the remedy,
     if the file cannot be read or a value is wrong."""
     return make(kind, read_yaml(path) if data is None else data, path=path)
@@ -88,7 +88,7 @@ def make(
     name: str = "",
     error: type[WavefieldError] = ExperimentError,
 ) -> T:
-    """Check plain data, and return them as a `kind`: a pydantic model or a dataclass.
+    """Check plain data, and return them as an instance of `kind`, a pydantic model or a dataclass.
     Raises `error`, which lists up to four problems, if the data are wrong. The other arguments serve the
     message: `path` is the file that contains the data, under the keys `location`; `name` is what the message
     calls data that are not from a file."""
@@ -109,7 +109,7 @@ def make(
 
 
 def _joined(messages: Sequence[tuple[str, str]]) -> str:
-    """Return one message from pairs (place in the file, description of a problem); it lists four of them."""
+    """Return one message that lists up to four pairs (place in the file, description of a problem)."""
     by_place: dict[str, list[str]] = {}
     listed: set[str] = set()
     for where, words in messages[:_MAX_MESSAGES]:
@@ -126,7 +126,7 @@ def _joined(messages: Sequence[tuple[str, str]]) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """A YAML loader that reads numbers as people write them.
+    """A YAML loader with simpler rules than YAML's own for numbers.
 
     1:30, dates, yes and no are text, and 010 is ten. Aliases (`*name`) raise an error, because a few lines
     with aliases can expand to billions of values.
@@ -213,7 +213,7 @@ def _compose(path: Path) -> yaml.Node | None:
 
 
 def _not_yaml(path: Path, error: Exception) -> ExperimentError:
-    """Return the error to raise for `error`, with which PyYAML refused the file `path`."""
+    """Return the error to raise for a file that PyYAML could not read; `error` is PyYAML's exception."""
     mark = getattr(error, "problem_mark", None)
     where = f", line {mark.line + 1}" if mark else ""
     problem = getattr(error, "problem", None) or "not YAML"
@@ -227,7 +227,7 @@ def _not_yaml(path: Path, error: Exception) -> ExperimentError:
 
 
 def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
-    """Yield two YAML nodes for each key that is repeated in a mapping, at any depth: the first and second."""
+    """Yield (first, second) YAML node of each key that occurs twice in a mapping, at any depth."""
     seen: dict[str, yaml.Node] = {}
     for part in node.value if isinstance(node, yaml.CollectionNode) else ():
         key, value = part if isinstance(part, tuple) else (None, part)
@@ -240,15 +240,15 @@ def _twice(node: yaml.Node) -> Iterator[tuple[yaml.Node, yaml.Node]]:
 
 
 def file_and_line(path: Path, location: Sequence[Key]) -> str:
-    """Return the text "FILE, line N" for the value to which keys and indices (`location`) lead.
-    If none of them is in the file, the text is the file alone."""
+    """Return the text "FILE, line N" for a value; `location` are the keys and indices that lead to it.
+    If none of them is in the file, the text is "FILE"."""
     line = _line(_compose(path), location)
     return f"{path}, line {line}" if line else str(path)
 
 
 def _line(node: yaml.Node | None, location: Sequence[Key]) -> int | None:
-    """Return the line number, from 1, of the value to which keys and indices (`location`) lead from `node`.
-    Keys that are not in the file are skipped; None if all are."""
+    """Return the line number, from 1, of a value; `location` are the keys and indices from `node` to it.
+    Keys that are not in the file are skipped; None if no key is in the file."""
     line = None
     for step in location:
         found = None
@@ -292,8 +292,8 @@ def _sentence(
 
 
 def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool:
-    """Whether an error of pydantic can be left out, because another one says more about the same value.
-    Pydantic reports an error for each form that the value could have, such as a word or a mapping."""
+    """Return whether an error of pydantic can be omitted because another one describes the same mistake
+    better. Pydantic reports an error for each form that the value could have, such as a word or a mapping."""
     place = problem["loc"][:-1]
     others = [other for other in wrong if other is not problem and other["loc"][: len(place)] == place]
     if problem["type"] == "literal_error" and isinstance(problem["input"], Mapping):
@@ -303,8 +303,8 @@ def _is_other_form(problem: ErrorDetails, wrong: Sequence[ErrorDetails]) -> bool
 
 
 def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
-    """Return the message for one error of pydantic, without the key that is wrong.
-    `kinds` are the types of section that could have this key."""
+    """Return the message for one error of pydantic, without the name of the wrong key.
+    `kinds` are the types of section that could contain this key."""
     sort, message = problem["type"], str(problem["msg"])
     if sort in _UNKNOWN:
         known = list(dict.fromkeys(name for member in kinds for name in _fields(member)))
@@ -325,9 +325,9 @@ def _message(problem: ErrorDetails, kinds: Sequence[object]) -> str:
 
 
 def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any], str | None]:
-    """Follow the location of an error of pydantic through the types of a section.
+    """Follow the location of a pydantic error from the outermost section, of type `kind`, inwards.
     Returns the keys of the location that are in the file, the types of section that could have the last of
-    these keys, and an example of a value for it (or None). `kind` is the type of the outermost section."""
+    these keys, and an example of a value for this key (or None)."""
     names: list[Key] = []
     sections = annotations = _members(kind)
     example = None
@@ -350,8 +350,8 @@ def _follow(kind: object, location: Sequence[Key]) -> tuple[list[Key], list[Any]
 
 
 def _is_branch(step: Key, annotations: Sequence[object]) -> bool:
-    """Whether a part of the location of a pydantic error is not a key, but the name of a type ("str").
-    Pydantic adds it where several types (`annotations`) are allowed."""
+    """Return whether a part of the location of a pydantic error is the name of a type ("str") and not a key.
+    Pydantic adds such names where several types (`annotations`) are allowed."""
     if not isinstance(step, str):
         return False
     classes = [getattr(member, "__name__", "") for member in annotations]
@@ -359,7 +359,7 @@ def _is_branch(step: Key, annotations: Sequence[object]) -> bool:
 
 
 def _fields(kind: object) -> dict[str, tuple[Any, str | None]]:
-    """Return the fields of a section by name, each with its type and an example (or None)."""
+    """Return the fields of a section by name, each with its type and an example of its value (or None)."""
     if not isinstance(kind, type):
         return {}
     if issubclass(kind, BaseModel):

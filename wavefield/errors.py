@@ -1,4 +1,4 @@
-"""The exceptions that a user can meet.
+"""The exceptions that wavefield raises for mistakes that a user can correct.
 
 Every message is one sentence that names the file or the setting at fault and how to correct it.
 The command line prints it without a traceback.
@@ -6,11 +6,11 @@ The command line prints it without a traceback.
 
 
 class WavefieldError(Exception):
-    """Base of all errors that a user can correct."""
+    """Base class of all errors that a user can correct."""
 
 
 class ExperimentError(WavefieldError):
-    """The experiment file, a catalog or a workflow file, or a file that one of them names, is wrong."""
+    """An experiment, catalog or workflow file is wrong, or a file that it names."""
 
 
 class FrameError(WavefieldError):
@@ -26,12 +26,12 @@ class CalibrationError(WavefieldError):
 
 
 class StoreError(WavefieldError):
-    """An output (cube, wave store, report, export, ...) cannot be written, resumed or read."""
+    """An output on disk (cube, wave store, report, export, ...) cannot be written, resumed or read."""
 
 
 class RunStopped(WavefieldError):
-    """A run was stopped before its end; nothing is lost and the same command resumes it."""
+    """A run was stopped before its end. Measured steps are kept, and the same command resumes the run."""
 
 
 class CubeError(WavefieldError):
-    """A cube does not hold what an analysis needs."""
+    """The data of a cube do not suit an analysis: a variable is absent, or a value or unit is wrong."""

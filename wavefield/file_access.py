@@ -1,4 +1,4 @@
-"""Refuse pipes and devices, which may block a reader for ever."""
+"""Refuse to open pipes and devices, which may block the program for ever."""
 
 import os
 import stat
@@ -9,7 +9,7 @@ from wavefield.errors import WavefieldError
 
 
 def refuse_pipe(path: str | Path, error: type[WavefieldError]) -> None:
-    """Raise `error` if `path` is a pipe or a device: a pipe without a writer blocks its reader for ever."""
+    """Raise `error` if `path` is a pipe or a device, which may block the program that reads it for ever."""
     with suppress(OSError, ValueError):  # missing files are reported when they are read
         mode = os.stat(path).st_mode
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):

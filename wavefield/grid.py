@@ -51,7 +51,7 @@ class Grid:
             )
 
     def _axis(self, ends: tuple[float, float]) -> np.ndarray:
-        """Return the positions of the nodes between two limits (`ends`) along an axis, (n,), metres."""
+        """Return node positions along an axis, (n,), metres; `ends` are its lower and upper limit."""
         # rounded to the nanometre, so that 0.1 + 0.2 is 0.3
         n = int(np.floor((ends[1] - ends[0]) / self.step + 1e-6)) + 1
         return np.round(ends[0] + self.step * np.arange(n), 9)
@@ -73,8 +73,8 @@ class Grid:
 
 
 def largest_rectangle(mask: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the largest rectangle of a mask (ny, nx) in which all nodes are true.
-    The result is its range of rows (start, stop) and its range of columns (start, stop), stop excluded."""
+    """Return the largest rectangle of a mask (ny, nx) in which all nodes are True.
+    It is given by (first, stop) of its rows and (first, stop) of its columns; stop is excluded."""
     ny, nx = mask.shape
     height = np.zeros(nx, int)
     best, where = 0, ((0, 0), (0, 0))

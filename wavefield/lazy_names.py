@@ -13,8 +13,8 @@ from typing import Any
 def lazy_names(
     package: str, init_file: str
 ) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
-    """Return the public names of a package, sorted, and functions for its `__getattr__` and `__dir__`.
-    The names are those that the stub (.pyi) next to `init_file`, the package's ``__init__.py``, imports."""
+    """Return the sorted public names of a package, and functions for its `__getattr__` and `__dir__`.
+    These names are imported in the stub (.pyi) next to `init_file`, the package's ``__init__.py``."""
     stub = ast.parse(Path(init_file).with_suffix(".pyi").read_text(encoding="utf-8"))
     places = {
         alias.asname or alias.name: (statement.module or "", alias.name)

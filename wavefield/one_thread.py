@@ -1,4 +1,4 @@
-"""Run linear algebra on one thread: matrices are small, and results must not depend on threads."""
+"""Run linear algebra on one thread, because matrices are small and results must not depend on threads."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _state: dict[str, Any] = {"depth": 0, "limits": None}
 @contextmanager
 def one_thread() -> Generator[None]:
     """Context manager or decorator: linear algebra (BLAS) uses one thread in the whole process.
-    Of several threads in such blocks, the first to enter sets the limit and the last to leave restores it."""
+    If several threads enter, the first sets this limit, and the last to leave restores the earlier limit."""
     with _lock:
         if not _state["depth"]:
             _take_control()
@@ -34,8 +34,8 @@ def one_thread() -> Generator[None]:
 
 
 def _take_control() -> None:
-    """Let the calling thread set the number of BLAS threads.
-    Since version 3.8, threadpoolctl obeys only one thread, so it must forget the earlier one."""
+    """Allow the calling thread to set the number of BLAS threads.
+    From version 3.8 on, threadpoolctl obeys only one thread, so it must forget the earlier one."""
     openblas: Any = getattr(threadpoolctl, "OpenBLASController", None)
     if clear := getattr(openblas, "clear_controlling_thread", None):
         clear(force=True)

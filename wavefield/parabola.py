@@ -1,4 +1,4 @@
-"""Position of a peak between samples."""
+"""Find the position of a peak between samples."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ Samples = float | NDArray[Any]
 
 def parabola_vertex(before: Samples, middle: Samples, after: Samples) -> NDArray[Any]:
     """Return the position of the maximum of the parabola through three equidistant samples, elementwise.
-    It is measured from the sample `middle` towards `after`, in sample intervals; 0 if the parabola has no
-    maximum."""
+    It is relative to the sample `middle`, in sample intervals, positive towards `after`. It is 0 if the
+    parabola has no maximum."""
     bend = before - 2 * middle + after
     return np.asarray(0.5 * (before - after) / np.where(bend < 0, bend, -np.inf))

@@ -22,7 +22,7 @@ def reweighted_lstsq(
     iterations: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit `design` (n, p) @ solution = `values` (n, ...) by repeated weighted least squares.
-    The first fit multiplies the equations by `weight` (n,), each further one by ``reweight(residual)``.
+    Equations are multiplied by `weight` (n,) in the first fit, by ``reweight(residual)`` in later ones.
     Returns the solution (p, ...) and the unweighted residuals (n, ...) of the last of `iterations` fits."""
     for _ in range(iterations):
         rows = weight.reshape(-1, *[1] * (values.ndim - 1))

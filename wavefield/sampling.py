@@ -1,4 +1,4 @@
-"""Indices of the steps or frames of a record that are sampled."""
+"""Choose steps or frames of a record for sampling, by index."""
 
 
 def evenly_spaced(count: int, number: int) -> list[int]:

@@ -20,7 +20,7 @@ def spell_time(seconds: float) -> str:
 
 def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
     """Return sorted integers as text with ranges, such as "1-3, 7".
-    At most `most` ranges are listed; the text ends with the number of the others."""
+    At most `most` ranges are listed; the text ends with the number of ranges left out."""
     ranges: list[list[int]] = []
     for number in numbers:
         if ranges and number == ranges[-1][1] + 1:
@@ -33,8 +33,8 @@ def spell_ranges(numbers: Sequence[int], most: int = 8) -> str:
 
 def spell_uncertain(value: float, std: float, unit: str) -> str:
     """Return a value and its standard uncertainty as text, such as "0.37926 +- 0.00015 m".
-    The uncertainty has two significant digits, and the value as many decimals. If the uncertainty is not
-    finite, the text is the value alone, with two decimals."""
+    The uncertainty has two significant digits or no decimals, and the value as many decimals. If the
+    uncertainty is not finite, the text is the value alone, with two decimals."""
     if not math.isfinite(std):
         return f"{value:.2f} {unit}"
     digits = max(1 - math.floor(math.log10(std)), 0) if std > 0 else 2
@@ -42,7 +42,7 @@ def spell_uncertain(value: float, std: float, unit: str) -> str:
 
 
 def short_path(path: Path) -> Path:
-    """Return a path relative to the current folder if it is inside this folder, else unchanged."""
+    """Return a path relative to the current folder if it lies in this folder, else unchanged."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
@@ -52,7 +52,7 @@ def one_line(error: object) -> str:
 
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table as HTML text, for notebooks, with a `title`, a header row and rows of cells.
+    """Return a table as HTML text for notebooks, with a `title`, a header row (`head`) and rows of cells.
     If `head` is empty, there is no header row."""
     lines = [("th", head), *(("td", row) for row in rows)]
     text = "".join(
@@ -64,5 +64,5 @@ def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]
 
 
 def full_stop(words: str) -> str:
-    """Return words with a full stop at the end, unless they end with ".", "?" or "!"."""
+    """Return a text with a full stop at its end, unless it ends with ".", "?" or "!"."""
     return words if words.endswith((".", "?", "!")) else f"{words}."

@@ -18,15 +18,15 @@ WATER = ("water_depth", "surface_tension_over_density")  # attributes of a cube 
 
 
 def tension_over_density(surface_tension: float | None = None, density: float | None = None) -> float:
-    """Return surface tension (N/m) over density (kg/m3), in m3 s-2; None stands for clean water at 20 C."""
+    """Return surface tension (N/m) over density (kg/m3), in m3/s2; None stands for clean water at 20 C."""
     tension = SURFACE_TENSION if surface_tension is None else surface_tension
     return float(tension) / float(density or DENSITY)
 
 
 def water_of(attributes: Mapping[str, str | float], depth: float | None = None) -> tuple[float, float]:
-    """Return the water's depth, m, and surface tension over density, m3/s2, from a cube's attributes.
-    `depth` replaces the depth in the attributes; without either it is infinite. The default tension is that
-    of clean water."""
+    """Return (depth, m, surface tension over density, m3/s2) of the water, from the attributes of a cube.
+    The argument `depth` replaces the depth in the attributes; without either it is infinite. The default
+    surface tension is that of clean water."""
     if depth is None:
         stated = attributes.get("water_depth")
         depth = np.inf if not stated or stated == "deep" else float(stated)
@@ -34,9 +34,8 @@ def water_of(attributes: Mapping[str, str | float], depth: float | None = None) 
 
 
 def stated_water(attributes: Mapping[str, Any]) -> dict[str, float]:
-    """Return the depth, m, and the surface tension over density, m3/s2, that a cube's attributes state.
-    They are numbers by attribute name (`WATER`). Absent and infinite values and the depth "deep" are left
-    out."""
+    """Return, by attribute name, the water depth (m) and surface tension over density (m3/s2) of a cube.
+    Attributes that are absent, infinite or, for the depth, "deep" are left out."""
     given = {name: attributes[name] for name in WATER if attributes.get(name) not in (None, "", "deep")}
     return {name: float(value) for name, value in given.items() if np.isfinite(float(value))}
 

@@ -1,1 +1,1 @@
-"""The command line, grouped by subject; heavy imports happen when a command is called."""
+"""The commands of the command line, grouped by subject; slow imports happen when a command is called."""

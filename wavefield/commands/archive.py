@@ -48,7 +48,7 @@ def export(context: click.Context, store: Path, output: Path, steps: str | None)
 
 
 def _slice(words: str | None) -> slice | None:
-    """Return the slice of steps that `words`, such as "0:500:5", describes; None for None."""
+    """Return the slice of steps that `words`, such as "0:500:5", describes; None if `words` is None."""
     if words is None:
         return None
     match = re.fullmatch(r"(\d*):(\d*)(?::(0*[1-9]\d*)?)?", words)
@@ -82,7 +82,7 @@ _PROGRAMS = ("wavefield", "uvmat", "opencv", "matlab")
 
 
 class _Files(click.Group):
-    """A group of commands that runs its command `convert` if the first argument is not a command of it."""
+    """The command group `rig`: without a command name, as in `rig FILE`, it runs its command `convert`."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if args and args[0] not in (*self.commands, "-h", "--help"):
@@ -101,7 +101,7 @@ Examples:
 """,
 )
 def rig() -> None:
-    """Show, convert or level rigs, of wavefield or another program."""
+    """Show, convert or level a rig: the geometry of all cameras."""
 
 
 rig.add_command(level)
@@ -168,7 +168,7 @@ def convert(
 
 def _sizes(given: tuple[str, ...], names: list[str]) -> dict[str, tuple[int, int]]:
     """Return image sizes (width, height), px, by camera, from texts such as 1024x1024 and cam1=1024x1024.
-    A text without a camera sets the size of all cameras `names`, or of cam1 to cam4 if `names` is empty."""
+    A text without a camera applies to all cameras in `names`, or to cam1 to cam4 if `names` is empty."""
     out: dict[str, tuple[int, int]] = {}
     for entry in given:
         name, _, words = entry.rpartition("=")

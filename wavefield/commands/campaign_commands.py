@@ -16,14 +16,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class CommandSource:
-    """What a command works on: an experiment, a cube, or a catalog and some of its runs."""
+    """The path that a command works on: an experiment, a cube, or a catalog, of which runs can be chosen."""
 
     path: Path
     entries: tuple[str, ...]  # names of the runs of a catalog; empty for all runs
     parameters: dict[str, str]  # values that the user set for parameters of the catalog, by name
 
     def is_catalog(self) -> bool:
-        """Return whether the path is a catalog; UsageError if not, although runs or parameters are given."""
+        """Return whether the path is a catalog. UsageError if it is not, but runs or parameters are given."""
         from wavefield.pipeline import is_catalog
 
         if self.path.is_file() and is_catalog(self.path):
@@ -34,7 +34,7 @@ class CommandSource:
 
     def cubes(self) -> list[tuple[str, Path]]:
         """Return (name, path of the latest cube) for each chosen run of a catalog; cubes need not exist.
-        `parameters["recipe"]`, from the hash of a recipe, selects the cube made with that recipe instead."""
+        `parameters["recipe"]`, 8 digits that identify the settings of a cube, selects this cube instead."""
         from wavefield.pipeline.catalog import cube_of, runs_of
 
         return [
@@ -43,8 +43,8 @@ class CommandSource:
         ]
 
     def for_each_cube(self, work: Callable[[Path], int]) -> int:
-        """Call `work` with the cube, or with the cube of each chosen run of a catalog.
-        Return the exit status of `work`, the worst one for a catalog."""
+        """Call `work` with the path of the cube, or of the cube of each chosen run of a catalog.
+        Return the exit status that `work` returned; for a catalog, the worst one."""
 
         def checked(run: str, cube: Path) -> int:
             if not cube.is_dir():
@@ -55,7 +55,7 @@ class CommandSource:
 
 
 def named(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """Return parameters of a catalog, by name, from texts such as ``location=/disk2`` (callback of click)."""
+    """Return parameters of a catalog, by name, from texts such as ``location=/disk2`` (for click)."""
     for value in values:
         if "=" not in value:
             raise click.BadParameter(f"{value!r}: write name=value")
@@ -87,8 +87,8 @@ def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., 
 
 
 def each(runs: Sequence[tuple[str, T]], work: Callable[[str, T], int], quiet: bool = False) -> int:
-    """Call `work` with each name and item in `runs`; return the worst of the exit statuses that it returns.
-    A WavefieldError counts as 1 and does not stop the others. Names are printed unless `quiet`."""
+    """Call `work` with each name and item in `runs`; return the worst exit status that it returned.
+    A WavefieldError counts as status 1 and does not end the loop. Names are printed unless `quiet`."""
     statuses = []
     for number, (run, item) in enumerate(runs, 1):
         if not quiet:

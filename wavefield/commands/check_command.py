@@ -43,7 +43,7 @@ def check(
     pairs: bool,
     as_json: bool,
 ) -> None:
-    """Show what is there, what is missing, and what a run will cost.
+    """Show which data are there, which are missing, and what a run will cost.
 
     Counts the frames of each camera, lists missing ones, and computes how much of the grid all cameras see.
     Measures a few steps to estimate time, memory and disk space of the run. Compares the cameras' images to
@@ -95,8 +95,8 @@ def check(
 
 
 def _next(found: Check, source: Path, rig: Path | None) -> None:
-    """Print the command that follows: `calibrate`, `check` after a correction, or `run`.
-    Before a run of more than 10 minutes a trial with 50 frames is proposed."""
+    """Print the command to run next: `calibrate`, `check` again after a correction, or `run`.
+    If the run will take more than 10 minutes, first propose a trial with 50 frames."""
     if found.problems:
         if not found.rig and any("wavefield calibrate" in problem for problem in found.problems):
             print_next("calibrate", source)
@@ -116,7 +116,7 @@ def _next(found: Check, source: Path, rig: Path | None) -> None:
 
 
 def _pairs_table(prepared: PreparedRun) -> str:
-    """Return a table of the differences between pairs of cameras in a step near the middle of the record.
+    """Return a text table of differences between pairs of cameras, in a step near the middle of the record.
     Below it are standard uncertainties, shortest resolved wavelengths, and the width of the beads' images."""
     from wavefield.measurement.diagnostics import diagnose_around
     from wavefield.rig.field import pixel_size

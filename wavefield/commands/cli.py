@@ -74,7 +74,7 @@ def _print_version(context: click.Context, option: click.Parameter, asked: bool)
 @click.option("-v", "--verbose", is_flag=True, help="Print more about what is done.")
 @click.option("--debug", is_flag=True, help="Show the whole traceback of an error.")
 def cli(quiet: bool, verbose: bool, debug: bool) -> None:
-    """Water-surface elevation and velocity from two or more cameras, and the waves in them."""
+    """Measure elevation and velocity of a water surface with cameras, and analyse the waves."""
     level = logging.DEBUG if debug else logging.INFO if verbose else logging.WARNING
     handler = logging.StreamHandler()
     handler.setLevel(level)  # a run lowers the level of its logger for the log file next to the cube
@@ -150,7 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _sentence(error: Exception) -> str:
-    """Return a sentence for the user on what went wrong, with a remedy if wavefield knows one."""
+    """Return a sentence that tells the user what went wrong, with a remedy if wavefield has one."""
     if isinstance(error, WavefieldError):
         return str(error)
     if isinstance(error, MemoryError):

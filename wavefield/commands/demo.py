@@ -15,7 +15,7 @@ PAPER = {"z": ("z", "0.2-0.7", "0.13-0.4")} | {n: (f"{n} dt", "0.3-0.5", "0.3") 
 def run_demo(
     directory: Path, command: Callable[[list[str]], int], scene: str = "demo", *, quiet: bool = False
 ) -> None:
-    """Simulate `scene`, calibrate, check, run, analyse and report into a folder; then print the errors.
+    """Simulate `scene` in a folder, calibrate, check, run, analyse and report it; then print the errors.
     `command` runs one command line, given as words without `wavefield`, and returns its exit status."""
     experiment, cube = directory / "experiment.yaml", directory / "cube.zarr"
     for words in (

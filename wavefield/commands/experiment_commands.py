@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def _range(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    """Return the first and last frame that `value`, such as "0:49", names; None for None."""
+    """Return (first, last) frame from text such as "0:49"; None if `value` is None (callback of click)."""
     if value is None:
         return None
     match = re.fullmatch(r"(\d+):(\d+)", value)
@@ -45,8 +45,8 @@ def _range(context: click.Context, parameter: click.Parameter, value: str | None
 
 
 def _trial(source: Path, frames: tuple[int, int], output: Path | None) -> tuple[Experiment, Path]:
-    """Return an experiment limited to `frames` (first, last), and the path of the cube to write.
-    That is `output`, by default cube_FIRST_LAST.zarr. ExperimentError if fewer than two frames exist."""
+    """Return the experiment limited to `frames` (first, last), and the path of its cube.
+    The path is `output`, by default cube_FIRST_LAST.zarr. ExperimentError if fewer than two frames exist."""
     from wavefield.errors import ExperimentError
     from wavefield.series import Experiment
     from wavefield.series.experiment_parts import FramesSection
@@ -149,15 +149,15 @@ def run(
 
 
 def _after(found: Status, measured_now: bool = False) -> str:
-    """Return the command that usually follows the run of a cube; for a light sheet it is never "analyze".
-    With `measured_now` the run has just ended, and waves and reports that exist are out of date."""
+    """Return the command to propose after a run: "analyze" (not for a light sheet), "report" or "look".
+    If `measured_now`, the run has just ended, and existing waves and reports are out of date."""
     sheet = found.verdict and any(one.kind == "light sheet" for one in found.verdict.remarks)
     commands = ("report",) if sheet else ("analyze", "report")
     return commands[0] if measured_now else _not_done(found.store, commands)
 
 
 def _not_done(cube: Path, commands: Sequence[str] = ("analyze", "report")) -> str:
-    """Return the first of `commands` whose output is not next to the cube yet, or "look" if all are."""
+    """Return the first of `commands` whose output is not next to the cube, or "look" if all outputs are."""
     product = {"analyze": ("waves", ".zarr"), "report": ("report", ".html")}
     return next((name for name in commands if not beside(cube, *product[name]).exists()), "look")
 

@@ -1,4 +1,4 @@
-"""`wavefield look` and `wavefield follow`: interactive pages of a cube, and of cameras that record."""
+"""`wavefield look` and `wavefield follow`: interactive pages of a cube, or of an experiment in progress."""
 
 import os
 from pathlib import Path

@@ -16,8 +16,9 @@ from wavefield.text import short_path, spell_time
 
 class Progress:
     """Prints how much of a stage, such as "Reading cube.zarr", is done and how long the rest will take.
-    Call it with the number of parts done and the number of all parts; `unit` names them, such as "steps". A
-    terminal shows one line; a log gets lines at the start, at each quarter, once a minute, and at the end."""
+    Call it with the number of parts done and the number of all parts; `unit` names them, such as "steps".
+    On a terminal it shows one line. In a log it writes a line at the start, at each quarter, once a minute,
+    and at the end."""
 
     def __init__(self, stage: str, unit: str = "", stream: TextIO | None = None) -> None:
         self.stream = stream if stream is not None else sys.stderr
@@ -35,7 +36,7 @@ class Progress:
         self.done, self.total = 0, 0
 
     def stage_of(self, stage: str, unit: str = "") -> Callable[[int, int], None]:
-        """Return a function `report(done, total)` for a later stage, which begins at the first call of it."""
+        """Return a function `report(done, total)` for another stage, which begins at its first call."""
 
         def report(done: int, total: int) -> None:
             if self.stage != stage:
@@ -51,7 +52,7 @@ class Progress:
         return self
 
     def __call__(self, done: int, total: int) -> None:
-        """Print how many of `total` parts are done, unless the last line is too recent or `total` is 0."""
+        """Print that `done` of `total` parts are done, unless the last line is too recent or `total` is 0."""
         if not total:
             return
         now = time.monotonic()
@@ -77,7 +78,7 @@ class Progress:
 
     def _left(self, now: float) -> str:
         """Return the estimated time left as text such as ", 5 min left"; empty if it is not known yet.
-        The first part does not count, because it includes compilation."""
+        The estimate leaves out the first part, which includes compilation."""
         if self.first is None or self.paced is None or not self.paced[1] < self.done < self.total:
             return ""
         spent, first = now - self.paced[0], self.paced[0] - self.first[0]
@@ -114,8 +115,8 @@ def command_line(*words: object) -> str:
 
 
 def print_next(*words: object, first: str = "") -> None:
-    """Print the command that usually follows; nothing with --quiet. `words` are those after `wavefield`.
-    `first` is what the user should do before it, such as "correct what is not ready"."""
+    """Print "Next:" and a command of wavefield, given by its `words`; with --quiet print nothing.
+    `first` is what the user should do before this command, such as "correct what is not ready"."""
     context = click.get_current_context(silent=True)
     if not (context and context.meta.get("wavefield.quiet")):
         shown = (short_path(word) if isinstance(word, Path) else word for word in words)

@@ -128,8 +128,8 @@ Examples:
 def sheet(experiment: Path, rig: Path | None, output: Path, frames: int) -> None:
     """Move z = 0 to a light sheet, found from its particles.
 
-    Correlates simultaneous images of the cameras, projected onto z = 0. They disagree where the sheet is not
-    in the target's plane or a camera has moved; the new rig corrects both.
+    Correlates simultaneous images of the cameras, projected onto z = 0. The images disagree where the sheet
+    is not in the target's plane or a camera has moved; the new rig corrects both errors.
     """
     from wavefield.calibration.light_sheet import find_sheet
 

@@ -35,7 +35,7 @@ def source_of_experiment(experiment: Path, output: Path) -> str:
 
 
 def experiment_file(source: Path) -> Path:
-    """Return the experiment file of a folder or of a cube; a file, also a catalog, is returned as it is.
+    """Return the experiment file of a folder or of a cube; the path of a file is returned unchanged.
     Raises ExperimentError if a folder holds no experiment file, or several."""
     if source.is_file():
         return source
@@ -71,8 +71,9 @@ def frames_option(default: int, words: str, least: int = 1) -> Callable[[Command
 
 
 def find_cube(source: Path, run: str | None = None) -> Path:
-    """Return the cube of an experiment file, a folder, or a run of a catalog; a cube is returned as it is.
-    `run` needs a catalog. Raises StoreError if there is no cube, ExperimentError if a catalog has none."""
+    """Return the cube of an experiment file, a folder, or a run of a catalog; a cube is returned unchanged.
+    `run` is the name of a run, allowed only with a catalog. Raises StoreError if there is no cube,
+    ExperimentError if a catalog has none, or several and `run` is None."""
     if source.is_file():
         from wavefield.pipeline import catalog
 
@@ -110,7 +111,7 @@ def _experiments(folder: Path) -> list[Path]:
 
 
 def _names_cameras(path: Path) -> bool:
-    """Return whether a YAML file is an experiment file, or names one with the key "experiment"."""
+    """Return whether a YAML file is an experiment file, or refers to one with the key "experiment"."""
     from wavefield.config_files import read_yaml
 
     try:

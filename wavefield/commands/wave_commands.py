@@ -43,8 +43,9 @@ def analyze(
 ) -> None:
     """Compute the waves of a cube: spectra, coherence, statistics.
 
-    Also fits the dispersion relation, combines z and w, and computes directions and bicoherence. Writes one
-    Zarr store, which `xarray.open_datatree` reads. For a catalog, it analyses every run.
+    Also fits the dispersion relation, combines z and w into one elevation spectrum, and computes directions
+    and bicoherence. Writes one Zarr store, which `xarray.open_datatree` reads. For a catalog, it analyses
+    every run.
     """
     if output and source.is_catalog():
         raise click.UsageError("the waves of a campaign are written next to its cubes; leave out -o")
@@ -89,8 +90,8 @@ Examples:
 def report(context: click.Context, source: campaign_commands.CommandSource, output: Path | None) -> None:
     """Write the report of a cube: one HTML file that opens offline.
 
-    For a catalog, it writes the report of every chosen run, and a page that compares these runs: next to the
-    catalog, or as -o.
+    For a catalog, it writes the report of every chosen run, and a page that compares these runs. The option
+    -o names this page, which is otherwise next to the catalog.
     """
     from wavefield.reports.compose import report as write
 
