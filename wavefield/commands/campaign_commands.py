@@ -63,8 +63,8 @@ def named(context: click.Context, parameter: click.Parameter, values: tuple[str,
 
 
 def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that adds a path (`metavar` in the help text), names of runs, and --parameter.
-    The command receives all three as its argument `source`, a CommandSource."""
+    """Return a decorator that gives a command a path (`metavar` in the help text), names of runs,
+    --parameter. The command receives all three as its argument `source`, a CommandSource."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(command)

@@ -93,7 +93,7 @@ def frame_features(image: Image) -> FrameFeatures:
 
 @dataclass(frozen=True)
 class StepSummary:
-    """Misfit, coverage and range of z of one measured step (the interval between two frames)."""
+    """Misfit of displacements, coverage of the grid, and used part of the range of z, for one time step."""
 
     eps_piv: float  # rms difference of displacements between cameras, px
     coverage: float  # fraction of the grid's nodes that were measured, not filled
@@ -102,16 +102,16 @@ class StepSummary:
 
 @dataclass(frozen=True)
 class PairSummary:
-    """How well simultaneous images of two cameras agree: epipolar error, and fraction of matched blocks."""
+    """How well simultaneous images of two cameras agree: epipolar error, fraction of matched blocks."""
 
     eps_y: float  # epipolar error, rms, px
     matched: float  # fraction of the visible blocks that match
 
 
 def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, float]) -> StepSummary:
-    """Return misfit, coverage and range of z of a step; misfit and range are NaN if all z are NaN.
-    `fields` holds z (m), eps_piv (misfit of displacements, px) and quality, each (ny, nx).
-    `z_range` is the lower and upper limit between which z was searched, m."""
+    """Return displacement misfit, coverage, and the fraction of the range of z that is used, for one time
+    step. `fields` holds z (m), eps_piv (the misfit, px) and quality, each (ny, nx). `z_range` is the lower
+    and upper limit of the search for z, m. Misfit and fraction are NaN if all z are NaN."""
     z = np.asarray(fields["z"], float)
     valid = np.isfinite(z)
     if not valid.any():
@@ -129,8 +129,8 @@ def summarize_step(fields: Mapping[str, NDArray[Any]], z_range: tuple[float, flo
 
 @dataclass
 class Baseline:
-    """Keeps the first numbers of a recording, for each camera, each pair of cameras, and the steps.
-    Their medians are the reference for later numbers."""
+    """Keeps the first FrameFeatures, PairSummary and StepSummary instances of a recording as a reference.
+    Later instances are compared with their medians."""
 
     n_steps: int = 4  # number of first steps that count
     _first: dict[tuple[type, str], list[object]] = field(default_factory=dict)

@@ -183,7 +183,7 @@ class LiveMeasurement:
 
     def _prepare(self, images: Mapping[str, NDArray[Any]]) -> None:
         """Load the rig, and set `learner` (geometry and wave model) and masks for the sizes of `images`.
-        `images` holds one image (row, column) per camera. If this fails, only `trouble` is set (why)."""
+        `images` holds one image (row, column) per camera. If this fails, `trouble` gets the reason."""
         from wavefield.execution.workflow import Workflow
         from wavefield.pipeline.prepare import make_settings
 
@@ -213,7 +213,7 @@ class LiveMeasurement:
 
 
 class Learner:
-    """Keeps the statistical model of waves and noise for the measurement; newest frames update it.
+    """Keeps the statistical model of waves and noise for measuring, updated with the newest frames.
     `model` is None until the first estimate succeeds."""
 
     def __init__(self, geometry: GridGeometry, frame_rate: float) -> None:

@@ -155,7 +155,7 @@ class MapPanel:
 
     def limits(self, place: Place) -> tuple[float, float]:
         """Return the lower and upper limit of the colour scale, in the displayed unit, that the user entered.
-        By default they fit the first drawn step in which the variable has values; before, (-1, 1)."""
+        By default they fit the first drawn step with values of the variable; until then (-1, 1)."""
         name = place.show
         if name not in self._fitted:
             values = self._record.field(name, place.step)

@@ -180,8 +180,8 @@ class NodePanel:
         return nearest_probe(self.probes, record.x[i], record.y[j], max(MAX_PROBE_DISTANCE_M, spacing))
 
     def _series(self, name: str, unit_of: str = "") -> Array:
-        """Return a variable over time, (time,), at the node of the cube's thinned copy nearest to the picked
-        one. Its unit is the one in which the variable `unit_of`, by default `name`, is displayed."""
+        """Return a variable over time, (time,), at the node of the thinned cube nearest to the picked node.
+        It is in the unit in which the variable `unit_of`, by default `name`, is displayed."""
         preview, factor = self._record.preview, display(unit_of or name).factor
         return preview.series(name, *self._index(preview.y, preview.x)) * np.float32(factor)
 

@@ -47,7 +47,7 @@ def middle_node(record: CubeRecord, step: int) -> tuple[float, float]:
 
 
 class Refused(RequestHandler):
-    """Answers requests that lack the secret token or come from another machine or website."""
+    """Answers a request that lacks the secret token, or that comes from another machine or website."""
 
     def prepare(self) -> None:
         """Answer with status 403 (forbidden) and a sentence on how to open the page."""

@@ -24,7 +24,7 @@ _UNITS = {
 
 
 def thin(*sizes: int) -> slice:
-    """Return the slice that, applied to every axis of a grid, leaves about 24 nodes along the longest.
+    """Return the slice that, applied to every axis of a grid, leaves about 24 nodes along the longest axis.
     `sizes` are the numbers of nodes along the axes."""
     every = max(1, round(max(sizes) / MARKS_ACROSS))
     return slice(every // 2, None, every)
@@ -73,8 +73,9 @@ class Display:
 
     def limits(self, values: NDArray[np.floating]) -> tuple[float, float]:
         """Return the lower and upper end of the colour scale for values in the displayed unit.
-        The upper end is the 99.5 % quantile of |values|. The lower end is minus that for a signed variable;
-        for others it is zero, or the 0.5 % quantile of the values if that exceeds half of the upper end."""
+        The upper end is the 99.5 % quantile of |values|. For a signed variable the lower end is the negative
+        of the upper end. For others it is zero, or the 0.5 % quantile of the values if that exceeds half of
+        the upper end."""
         half = float(f"{limit(values):.2g}")
         if self.signed:
             return -half, half

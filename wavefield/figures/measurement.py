@@ -39,7 +39,7 @@ def _quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
 
 
 def coverage_map(cube: xr.Dataset) -> Figure:
-    """Draw maps of the fraction of time in which each node was measured, and was filled from neighbours.
+    """Draw maps of the fractions of time in which each node was measured and was filled from neighbours.
 
     Parameters
     ----------
@@ -58,9 +58,9 @@ def coverage_map(cube: xr.Dataset) -> Figure:
 
 
 def fault_history(cube: xr.Dataset) -> Figure:
-    """Draw over time which fraction of the visible nodes was measured, filled or rejected.
+    """Draw over time the fractions of the visible nodes that were measured, filled and rejected.
 
-    A second panel shows the status of each step.
+    A second panel shows the status of each step: measured, failed, ...
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def _displacements(cube: xr.Dataset, factor: float) -> dict[str, np.ndarray]:
 
 
 def distributions(cube: xr.Dataset) -> Figure:
-    """Draw the probability densities of z and of the displacements in one step, next to Gaussians.
+    """Draw the probability densities of z and of the displacements between two frames, next to Gaussians.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def distributions(cube: xr.Dataset) -> Figure:
 
 
 def rest_distributions(rest: xr.Dataset) -> Figure:
-    """Draw the probability densities of z and of the displacements in one step for still water.
+    """Draw the probability densities of z and of the displacements between two frames for still water.
 
     A second curve is z minus its mean over time at each node. Aubourg et al. (2019) show the same figure.
 

@@ -133,7 +133,7 @@ def pair_items(run: Run) -> list[Item]:
 
 def pair_rows(found: xr.Dataset) -> list[tuple[str, ...]]:
     """Return a table row for each quantity and pair of cameras in `found`, from `Run.pair_statistics`.
-    Columns: error; rms, cm; rms, px; percentage above three times the rms; value of Aubourg et al. (2019)."""
+    Columns: error; its rms, cm and px; percentage above three times the rms; rms by Aubourg et al. (2019)."""
     rows: list[tuple[str, ...]] = []
     for k in range(found.sizes["error"]):
         error = found.isel(error=k)
@@ -166,7 +166,8 @@ def _draw(axes: Axes, found: xr.Dataset, quantities: tuple[str, ...], factor: fl
 
 
 def pair_misfits(found: xr.Dataset) -> Figure:
-    """Draw the distributions of epipolar error (eps_y) and displacement misfit (eps') of each camera pair."""
+    """Draw the distributions of epipolar error (eps_y) and displacement misfit (eps') of each camera pair.
+    `found` is the result of `Run.pair_statistics`."""
     figure, axes = panels(2, height=4.6)
     _draw(axes[0, 0], found, ("eps_y",), 1e3, "eps_y mm")
     _draw(axes[0, 1], found, ("eps_piv",), 1.0, "eps' px")
@@ -176,7 +177,7 @@ def pair_misfits(found: xr.Dataset) -> Figure:
 
 def pair_differences(found: xr.Dataset) -> Figure:
     """Draw the distributions of differences in z and displacements, px, between pairs of cameras.
-    The panel of z also compares z of a pair with z computed from two other pairs."""
+    `found` is `Run.pair_statistics`. The panel of z also compares z of a pair with z from two other pairs."""
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     kinds = [("z", "z_recombined"), ("dx",), ("dy",), ("dz",)]
     kinds = [names for names in kinds if np.isin(found.quantity, names).any()]

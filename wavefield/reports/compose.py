@@ -40,7 +40,7 @@ def report(
     Returns
     -------
     Path
-        The file.
+        Path of the file.
 
     Raises
     ------

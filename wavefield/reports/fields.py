@@ -259,7 +259,7 @@ def excerpt(cube: xr.Dataset) -> xr.Dataset:
 
 def _code(values: np.ndarray, half: float) -> str:
     """Return values (time, y, x) from -`half` to `half` as codes 1 to 255, missing ones as 0, in base 64.
-    What is compressed and written are differences of the codes along x and y, modulo 256."""
+    Before the encoding, differences of the codes along x and y, modulo 256, are compressed."""
     scaled = np.round(np.clip(128 + 127 * values / half, 1, 255))
     codes = np.where(np.isfinite(values), scaled, 0).astype(np.uint8)
     differences = np.diff(np.diff(codes, axis=2, prepend=np.uint8(0)), axis=1, prepend=np.uint8(0))

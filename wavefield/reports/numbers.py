@@ -102,8 +102,7 @@ class RunNumbers:
 
     @cached_property
     def part(self) -> xr.Dataset:
-        """The fields z, u, v, w, eps_y, eps_piv and quality (time, y, x), loaded; large ones thinned in
-        time."""
+        """Fields z, u, v, w, misfits and quality, (time, y, x), loaded; a large cube is thinned in time."""
         return thinned(self.run.cube, *_FIELDS)
 
     @cached_property

@@ -49,7 +49,7 @@ def paper(
     Returns
     -------
     Path
-        The file.
+        Path of the file.
 
     Raises
     ------

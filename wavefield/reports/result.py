@@ -143,7 +143,7 @@ def run_summary(numbers: RunNumbers) -> ReportSection:
 
 def without_cameras(quality: xr.DataArray, n_in_view: int, cameras: Sequence[str]) -> list[tuple[str, str]]:
     """Return a table row with the percentage of values measured without each camera; [] if all are 0.
-    `quality` has any shape; percentages are of `n_in_view`, the number of its values that cameras see."""
+    `quality` has any shape. Percentages refer to `n_in_view`, the number of its values at visible nodes."""
     shares = []
     for index, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(index) & ~Quality.FEWER_CAMERAS)

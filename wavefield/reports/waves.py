@@ -11,7 +11,7 @@ from wavefield.waves.motion import kinematics_at
 
 
 def spectrum_pictures(group: xr.Dataset, dispersion: xr.Dataset | None) -> list[Item]:
-    """Return pictures of E(k, omega) and E(kx, ky) of w, from two groups of a wave store, for a report."""
+    """Return pictures of E(k, omega) and E(kx, ky) of w; `group` is `/spectra` of a wave store."""
     energy = group.E.sel(quantity="w").values
     positive = energy[energy > 0]
     decades = float(np.log10(positive.max() / np.median(positive))) if positive.size else 0.0

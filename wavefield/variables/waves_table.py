@@ -23,7 +23,7 @@ ELEVATION_UNITS = "m2 s rad-1"
 
 
 def density_units(unit: str, *over: str) -> str:
-    """Return the units of a power spectral density of a quantity in `unit`, per unit of each axis in `over`.
+    """Return the units of the power spectral density of a quantity, given its `unit` and the axes `over`.
     An axis is "k" (wavenumber, rad/m) or "omega" (angular frequency, rad/s).
 
     Examples
