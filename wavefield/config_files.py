@@ -47,9 +47,9 @@ def safe_name(name: str) -> str:
 
 
 def portable_path(path: str) -> str:
-    r"""Return a path unchanged; raise ValueError if it cannot be used on Linux, macOS and Windows alike.
-    Such paths contain names of over 255 bytes, control characters, or backslashes. Backslashes are accepted
-    on Windows, and elsewhere if `path` exists. A URL, with ://, is not checked."""
+    r"""Return a path unchanged; ValueError if it cannot be used on Linux, macOS and Windows alike.
+    Names of over 255 bytes, control characters and backslashes raise this error, except for backslashes on
+    Windows or in a path that exists. A URL, with ://, is not checked."""
     if "://" in path:  # an address, which may contain a password
         return path
     if any(len(part.encode()) > MAX_NAME_BYTES for part in path.split("/")):
@@ -66,7 +66,7 @@ PathText = Annotated[str, AfterValidator(portable_path)]
 
 
 class ConfigSection(BaseModel):
-    """Immutable base class of the sections of a settings file.
+    """Base class of the sections of a settings file; their values cannot be changed after reading.
     Unknown keys, infinity and NaN raise errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
@@ -126,10 +126,10 @@ def _joined(messages: Sequence[tuple[str, str]]) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """A YAML loader with simpler rules than YAML's own for numbers.
+    """A YAML loader that reads numbers as people write them.
 
-    1:30, dates, yes and no are text, and 010 is ten. Aliases (`*name`) raise an error, because a few lines
-    with aliases can expand to billions of values.
+    The texts 1:30, yes, no and dates stay text, and 010 is ten. Aliases (`*name`) raise an error, because a
+    few lines with aliases can expand to billions of values.
     """
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:

@@ -1,4 +1,4 @@
-"""Let commands accept a catalog (a list of experiments, its runs) and work on the runs one by one."""
+"""Let commands accept a catalog (a list of experiments, called its runs) and work on the runs in turn."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -55,7 +55,7 @@ class CommandSource:
 
 
 def named(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """Return parameters of a catalog, by name, from texts such as ``location=/disk2`` (for click)."""
+    """Return parameters of a catalog by name, from texts like ``location=/disk2`` (a callback of click)."""
     for value in values:
         if "=" not in value:
             raise click.BadParameter(f"{value!r}: write name=value")
@@ -63,8 +63,8 @@ def named(context: click.Context, parameter: click.Parameter, values: tuple[str,
 
 
 def takes_source(metavar: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that gives a command a path (`metavar` in the help text), names of runs,
-    --parameter. The command receives all three as its argument `source`, a CommandSource."""
+    """Return a decorator that gives a command three arguments: a path, names of runs, and --parameter.
+    `metavar` names the path in the help. The command receives all three as `source`, a CommandSource."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(command)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def _range(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    """Return (first, last) frame from text such as "0:49"; None if `value` is None (callback of click)."""
+    """Return the first and last frame in text such as "0:49", or None for None (a callback of click)."""
     if value is None:
         return None
     match = re.fullmatch(r"(\d+):(\d+)", value)

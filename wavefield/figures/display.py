@@ -116,6 +116,6 @@ def quality_kind(quality: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def drawn_kind(quality: NDArray[Any]) -> NDArray[np.float32]:
-    """Return `quality_kind` as floats for a picture, in the shape of `quality`; NaN where no kind applies."""
+    """Return the result of `quality_kind` as floats, for a picture; NaN where no kind applies."""
     kinds = quality_kind(quality)
     return np.where(kinds < len(KINDS), kinds, np.nan).astype(np.float32)

@@ -55,8 +55,9 @@ def kinematics_maps(snapshot: xr.Dataset) -> Figure:
 def coherence_curves(coherence: xr.Dataset) -> Figure:
     """Draw the coherence of z_t with w, with -u . grad z, and with the sum of both, over wavenumber.
 
-    Left: normalised as in Aubourg et al. (2019). Right: the magnitude-squared coherence, with the level that
-    unrelated signals exceed in 5 % of cases. Lines are thin and pale where the store marks them as not valid.
+    In a mean current U, z_t stands for z_t + U . grad z, and u for u - U. Left: normalised as in Aubourg et
+    al. (2019). Right: the magnitude-squared coherence, with the level that unrelated signals exceed in 5 % of
+    cases. Lines are thin and pale where the store marks them as not valid.
 
     Parameters
     ----------
@@ -80,6 +81,8 @@ def coherence_curves(coherence: xr.Dataset) -> Figure:
 
 def plane_coherence_maps(plane: xr.Dataset) -> Figure:
     """Draw the coherence of z_t with w - u . grad z at each wave vector, and its mean over the angle.
+
+    The mean is also drawn for w and for -u . grad z alone. z_t and u are relative to the mean current.
 
     Parameters
     ----------

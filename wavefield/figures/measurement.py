@@ -32,7 +32,7 @@ _REASONS = {
 
 
 def _quality_shares(quality: xr.DataArray, dims: tuple[str, ...]) -> xr.Dataset:
-    """Return the fraction of values along `dims` whose `quality` has the bit of each name in `_REASONS`."""
+    """Return the fraction of values along `dims` for each kind in `_REASONS` (measured, filled, ...)."""
     return xr.Dataset(
         {name: ((quality & np.uint16(int(flag))) != 0).mean(dims) for name, flag in _REASONS.items()}
     )
@@ -163,7 +163,7 @@ def _displacements(cube: xr.Dataset, factor: float) -> dict[str, np.ndarray]:
 
 
 def distributions(cube: xr.Dataset) -> Figure:
-    """Draw the probability densities of z and of the displacements between two frames, next to Gaussians.
+    """Draw the probability densities of z and of the displacements between two frames, with Gaussians.
 
     Parameters
     ----------

@@ -164,7 +164,9 @@ def elevation_spectra(spectra: xr.Dataset) -> Figure:
 
 
 def wavenumber_spectra(spectra: xr.Dataset) -> Figure:
-    """Draw the spectra E(k) and E(omega) of z_t, u, v, w and the nonlinear term u . grad z.
+    """Draw the spectra E(k) and E(omega) of z_t, u, v, w and the nonlinear term (u - U) . grad z.
+
+    z_t is the rate of rise of the surface, and U the mean current.
 
     Parameters
     ----------

@@ -105,7 +105,7 @@ def kinematics_picture(snap: xr.Dataset) -> Picture:
 
 def coherence_picture(coherence: xr.Dataset) -> Picture:
     """Return a picture of the coherence of z_t with w, with -u . grad z, and with the sum of these two.
-    `coherence` is the group `/coherence` of a wave store."""
+    They are relative to the mean current. `coherence` is the group `/coherence` of a wave store."""
     valid = coherence.where(coherence["valid"]) if "valid" in coherence else coherence
     total, nonlinear = (median_of(np.abs(valid.C.sel(term=term).values)) for term in ("tot", "nl"))
     return Picture(
@@ -119,7 +119,8 @@ def coherence_picture(coherence: xr.Dataset) -> Picture:
 
 
 def nonlinear_ratio_picture(kinematics: xr.Dataset) -> Picture:
-    """Return a picture of the ratio of u . grad z to w, from the group `/kinematics` of the wave store."""
+    """Return a picture of the ratio of (u - U) . grad z to w, with the mean current U.
+    `kinematics` is the group `/kinematics` of a wave store."""
     ratio = kinematics.nonlinear_ratio_k
     return Picture(
         figures.nonlinear_ratio_curves(kinematics),
