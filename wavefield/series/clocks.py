@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.series.formats import VIDEO_ENDINGS, open_recording, recording_path
 from wavefield.series.formats.arrays import SECONDS
-from wavefield.series.formats.recording import usual_interval, usual_intervals
+from wavefield.series.formats.recordings import usual_interval, usual_intervals
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import MAX_NUMBERS_PER_FRAME, Images, Numbered
 from wavefield.series.probes import numbered_lines

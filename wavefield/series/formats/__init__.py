@@ -5,11 +5,13 @@ from pathlib import Path
 
 from wavefield.errors import FrameError
 from wavefield.series.formats.arrays import open_hdf5
-from wavefield.series.formats.cine import open_cine
-from wavefield.series.formats.davis_series import open_davis
-from wavefield.series.formats.photron import open_photron
-from wavefield.series.formats.recording import Recording
-from wavefield.series.formats.streampix import open_streampix
+from wavefield.series.formats.recordings import (
+    Recording,
+    open_cine,
+    open_davis,
+    open_photron,
+    open_streampix,
+)
 from wavefield.series.formats.video import Video
 from wavefield.text import one_line
 

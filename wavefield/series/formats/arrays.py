@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.series.formats.recording import Pixels, Recording, Times, refuse_index, usual_interval
+from wavefield.series.formats.recordings import Pixels, Recording, Times, refuse_index, usual_interval
 from wavefield.text import one_line
 
 if TYPE_CHECKING:

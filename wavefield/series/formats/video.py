@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
 from wavefield.images import grey
-from wavefield.series.formats.recording import Pixels, Times, no_times, refuse_index, usual_interval
+from wavefield.series.formats.recordings import Pixels, Times, no_times, refuse_index, usual_interval
 from wavefield.text import one_line
 
 UNTIMED = (".avi",)  # containers without presentation times: compressed frames are counted by decoding
