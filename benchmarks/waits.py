@@ -21,7 +21,7 @@ from pathlib import Path
 import cv2
 
 from benchmarks.results import parser_of, print_table, save_result
-from wavefield.execution.run_log import log_path
+from wavefield.execution.run_files import log_path
 from wavefield.images import write_image
 from wavefield.pipeline import open_cube
 from wavefield.tank import Scene, Tank, simulate

@@ -22,8 +22,8 @@ from wavefield.series.proposal import propose
 from wavefield.store.cube import open_cube
 from wavefield.store.export import export
 from wavefield.store.ledger import status
+from wavefield.store.results import open_waves
 from wavefield.store.verify import verify
-from wavefield.store.wave_store import open_waves
 from wavefield.tank.plan import plan
 from wavefield.tank.scene import Scene
 from wavefield.tank.write_experiment import simulate

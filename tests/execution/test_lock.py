@@ -8,12 +8,12 @@ import threading
 import pytest
 
 from wavefield.errors import StoreError
-from wavefield.execution.lock import locked
+from wavefield.execution.run_files import locked
 
 HOLDER = """
 import os, sys, time
 from pathlib import Path
-from wavefield.execution.lock import locked
+from wavefield.execution.run_files import locked
 with locked(Path(sys.argv[1])):
     print("held", flush=True)
     {then}

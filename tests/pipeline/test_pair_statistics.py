@@ -6,8 +6,8 @@ import pytest
 from cube_cases import FOURS
 
 import wavefield as wf
-from wavefield.store import camera_pairs
-from wavefield.store.camera_pairs import GROUP
+from wavefield.store import results
+from wavefield.store.results import PAIR_GROUP
 
 
 def stored(store):
@@ -15,7 +15,7 @@ def stored(store):
 
 
 def files(store):
-    found = [path for path in (store / GROUP).rglob("*") if path.is_file()]
+    found = [path for path in (store / PAIR_GROUP).rglob("*") if path.is_file()]
     return {str(path.relative_to(store)): path.read_bytes() for path in found}
 
 
@@ -36,9 +36,9 @@ def test_errors_of_every_pair_are_stored_at_the_end_of_a_run(measured):
 def test_a_run_killed_while_it_writes_them_writes_them_again(measured, tmp_path, monkeypatch):
     shutil.copytree(measured, tmp_path, dirs_exist_ok=True)
     store = tmp_path / "cube.zarr"
-    shutil.rmtree(store / GROUP)
+    shutil.rmtree(store / PAIR_GROUP)
     with monkeypatch.context() as patch:
-        patch.setattr(camera_pairs, "write_mark", lambda *_: sys.exit("killed"))
+        patch.setattr(results, "write_mark", lambda *_: sys.exit("killed"))
         with pytest.raises(SystemExit):
             wf.run(tmp_path / "experiment.yaml", workflow=FOURS)
     assert stored(store) is None
@@ -48,7 +48,7 @@ def test_a_run_killed_while_it_writes_them_writes_them_again(measured, tmp_path,
 
 def test_cubes_without_them_open(measured, tmp_path):
     shutil.copytree(measured / "cube.zarr", tmp_path / "cube.zarr")
-    shutil.rmtree(tmp_path / "cube.zarr" / GROUP)
+    shutil.rmtree(tmp_path / "cube.zarr" / PAIR_GROUP)
     found = wf.open_run(tmp_path / "cube.zarr")
     assert found.pair_statistics is None
     assert "earlier version" in found.reason("pair_statistics")

@@ -15,7 +15,7 @@ from cube_cases import FRAMES, HERE, different, far_apart
 
 from wavefield.commands.cli import main
 from wavefield.errors import RunStopped, StoreError
-from wavefield.execution.lock import locked
+from wavefield.execution.run_files import locked
 from wavefield.measurement import sample_steps
 from wavefield.pipeline import Workflow, chunk, open_cube, run, status
 from wavefield.store import write_cube

@@ -9,8 +9,7 @@ import yaml
 from wavefield.calibration.target import Target
 from wavefield.errors import CalibrationError
 from wavefield.images import write_image
-from wavefield.series import Experiment
-from wavefield.series.target_listing import find_views
+from wavefield.series import Experiment, listing
 
 
 def note(folder, tilted, flat=None):
@@ -19,6 +18,12 @@ def note(folder, tilted, flat=None):
     data = {"name": "plates", "frame_rate": 10.0, "cameras": cameras, "calibration": section}
     (folder / "experiment.yaml").write_text(yaml.safe_dump(data))
     return Experiment.load(folder / "experiment.yaml")
+
+
+def find_views(experiment):
+    return listing.find_views(
+        experiment.calibration, experiment.cameras, experiment.image_folder, experiment.path
+    )
 
 
 def touch(path):

@@ -22,7 +22,7 @@ from wavefield.images import read_image
 from wavefield.one_thread import one_thread
 from wavefield.rig import Rig
 from wavefield.series import Experiment
-from wavefield.series.target_listing import find_views
+from wavefield.series.listing import find_views
 
 TABLES = (".csv", ".txt", ".dat", "")  # suffixes of tables of points that another program found
 
@@ -168,9 +168,13 @@ def calibrate_experiment(
     """
     if not isinstance(experiment, Experiment):
         experiment = Experiment.load(experiment)
-    images = find_views(experiment)
     section = experiment.calibration
-    assert section is not None
+    if section is None:
+        raise CalibrationError(
+            f"{experiment.path} has no calibration block, so there is nothing to calibrate; add one that "
+            "states what the target is and where its images are (see docs/calibration.md)"
+        )
+    images = find_views(section, experiment.cameras, experiment.image_folder, experiment.path)
     poses = dict.fromkeys(pose for by_pose in images.values() for pose in by_pose)
     unknown = sorted(set(section.heights) - set(poses))
     if unknown:

@@ -15,7 +15,7 @@ from wavefield.atomic_write import write_error, writing
 from wavefield.errors import CubeError, ExperimentError, RunStopped, StoreError
 from wavefield.execution.cluster import MapUnordered, open_cluster
 from wavefield.execution.process import stop_signals, stopped_by
-from wavefield.execution.run_log import jobs_folder, log_file
+from wavefield.execution.run_files import jobs_folder, log_file
 from wavefield.execution.workflow import Workflow
 
 if TYPE_CHECKING:
@@ -119,13 +119,13 @@ def analyze(
     """
     from wavefield.atomic_write import Product, check_writable
     from wavefield.store.recipe import source_of, state_of
-    from wavefield.store.wave_store import KIND, write_waves
+    from wavefield.store.results import WAVES, write_waves
     from wavefield.waves.analysis import analyze as waves_of
 
     opened = _open(cube)
     inputs = [opened.encoding.get("source"), cube, options.get("gain")]
     if out is not None:
-        check_writable(out, Product(KIND, source_of(opened)), inputs=inputs)
+        check_writable(out, Product(WAVES, source_of(opened)), inputs=inputs)
     tree = waves_of(opened, progress=progress, each=each, **options)
     tree.attrs["cube"] = state_of(opened)
     if out is not None:

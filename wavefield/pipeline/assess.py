@@ -28,11 +28,11 @@ from wavefield.rig import Rig
 from wavefield.rig.field import pixel_size
 from wavefield.sampling import evenly_spaced
 from wavefield.series import Experiment, FrameSeries
-from wavefield.store.camera_pairs import read_pair_statistics, write_pair_statistics
 from wavefield.store.cube import open_cube
 from wavefield.store.ledger import Status
 from wavefield.store.read import open_group
 from wavefield.store.recipe import state_of
+from wavefield.store.results import read_pair_statistics, write_pair_statistics
 from wavefield.store.verdict import Remark, Verdict
 from wavefield.store.write_cube import clear_steps
 from wavefield.variables import FrameStatus, Quality

@@ -182,8 +182,7 @@ def run_catalog(
         As for `wavefield.run`.
     """
     from wavefield.execution.cluster import open_cluster
-    from wavefield.execution.lock import locked
-    from wavefield.execution.run_log import jobs_folder
+    from wavefield.execution.run_files import jobs_folder, locked
     from wavefield.pipeline.prepare import prepare
     from wavefield.pipeline.running import MEASURING, process
 

@@ -239,7 +239,7 @@ class Run:
         if not self.waves_path.is_dir():
             self._reasons["waves"] = f"no waves yet: run `wavefield analyze {self.store}`"
             return None
-        from wavefield.store.wave_store import open_waves
+        from wavefield.store.results import open_waves
 
         waves = open_waves(self.waves_path)
         mark = read_mark(self.waves_path)
@@ -277,7 +277,7 @@ class Run:
     @cached_property
     def pair_statistics(self) -> xr.Dataset | None:
         """Errors of each pair of cameras (`wavefield.pipeline.assess.pair_statistics`); None without them."""
-        from wavefield.store.camera_pairs import read_pair_statistics
+        from wavefield.store.results import read_pair_statistics
 
         found = read_pair_statistics(self.store)
         if found is None:

@@ -17,9 +17,8 @@ import numpy as np
 
 from wavefield.errors import RunStopped, StoreError, WavefieldError
 from wavefield.execution.cluster import MapUnordered, open_cluster, threads_here
-from wavefield.execution.lock import locked
 from wavefield.execution.process import deferred_signals, stop_signals, stopped_by
-from wavefield.execution.run_log import jobs_folder, log_file, log_path
+from wavefield.execution.run_files import jobs_folder, locked, log_file, log_path
 from wavefield.execution.workflow import Workflow
 from wavefield.pipeline.chunk import Chunk, make_chunk, measure_and_write, read_frame
 from wavefield.pipeline.learning import learn_record, once_per_cube
@@ -29,9 +28,8 @@ from wavefield.rig import Rig
 from wavefield.rig.field import pixel_size
 from wavefield.series import Experiment, FrameSeries
 from wavefield.store import beside
-from wavefield.store.layout import StoreLayout, create_store
+from wavefield.store.layout import FINISHED, StoreLayout, create_store, update_metadata
 from wavefield.store.ledger import Status, status
-from wavefield.store.metadata import FINISHED, update_metadata
 from wavefield.store.preview import create_preview
 from wavefield.store.read import open_group, read_layout
 from wavefield.store.recipe import check_recipe

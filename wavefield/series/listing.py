@@ -1,20 +1,23 @@
-"""The frame number of every image of a camera, from the names in the experiment file.
+"""Find images by the names in the experiment file: numbered frames, and images of the calibration target.
 
-The number is in the file's name, is the index of the image in a file of many images, or follows from a time
-stamp. The images of a list in the experiment file are counted through the list. A number never comes from the
-position of a file in the listing of a folder, because a missing file would shift the others.
+The number of a frame is in the file's name, is the index of the image in a file of many images, or follows
+from a time stamp. The images of a list in the experiment file are counted through the list. A number never
+comes from the position of a file in the listing of a folder, because a missing file would shift the others.
 """
 
+import glob
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.errors import ExperimentError, FrameError
+from wavefield.errors import CalibrationError, ExperimentError, FrameError
 from wavefield.sampling import from_first_to_last
+from wavefield.series.experiment_parts import CalibrationSection
 from wavefield.series.formats.arrays import is_remote
 from wavefield.series.frames import FrameSeries
 from wavefield.series.readers import FrameEntry, Kind, count_images, read_entry
@@ -157,3 +160,71 @@ def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tupl
             continue
         return (image.shape[0], image.shape[1]), str(image.dtype)
     raise ExperimentError(f"images of {camera}: none of {len(tried)} tried can be read: {problem}")
+
+
+# -- images of the calibration target
+
+
+def find_views(
+    section: CalibrationSection, cameras: Iterable[str], folder: Path, experiment: Path
+) -> dict[str, dict[str, Path]]:
+    """Return the paths of the images of the calibration target in `folder`: for each camera, a path by pose.
+    A pose of the target is named by the part of the file name that varies; the pose on z = 0 is ``flat``.
+    CalibrationError, which names the file `experiment`, if a camera has no target image."""
+
+    def no_images(camera: str, patterns: Sequence[str]) -> CalibrationError:
+        return CalibrationError(
+            f"{experiment}: no target image of {camera}: nothing in {folder} is called "
+            f"{' or '.join(patterns)}; correct the calibration block"
+        )
+
+    tilted = [section.tilted] if isinstance(section.tilted, str) else section.tilted
+    out: dict[str, dict[str, Path]] = {}
+    for camera in cameras:
+        poses: dict[str, Path] = {}
+        for pattern in tilted:
+            for pose, path in _target_images(folder, pattern, camera):
+                other = poses.setdefault(pose, path)
+                if other != path:
+                    raise CalibrationError(
+                        f"{experiment}: both {other} and {path} would be pose {pose!r}; rename one of them, "
+                        "or narrow `tilted`"
+                    )
+        if not poses:
+            raise no_images(camera, tilted)
+        if section.flat:
+            flat = [path for _, path in _target_images(folder, section.flat, camera)]
+            if len(flat) > 1:
+                raise CalibrationError(
+                    f"{experiment}: flat: {section.flat} names {len(flat)} images of {camera}; name one"
+                )
+            poses = {pose: path for pose, path in poses.items() if path not in flat}
+            poses |= dict.fromkeys(["flat"], flat[0]) if flat else {}
+        out[camera] = poses
+    if section.flat and not any("flat" in poses for poses in out.values()):
+        raise no_images("any camera", [section.flat])
+    return out
+
+
+def _target_images(folder: Path, pattern: str, camera: str) -> Iterator[tuple[str, Path]]:
+    """Yield the pose and the path of each image of a camera that matches a pattern.
+    The pose is the text that the wildcards match, with the text around them, so it is the same in all
+    cameras. A leading minus sign is kept, because a target may be moved from -3 mm to 3 mm."""
+    named = pattern.replace("{camera}", glob.escape(camera))
+    one_each = re.sub(r"\[.[^]]*\]", "?", pattern)  # a set such as [0-9] matches one character
+    groups = {"*": "(.*?)", "?": "(.)"}
+    parts = re.split(r"(\*+|\?)", one_each.replace("{camera}", camera))
+    expression = re.compile(
+        "".join(groups[part[0]] if part[:1] in groups else re.escape(part) for part in parts)
+    )
+    *folders, name = one_each.replace("{camera}", "").split("/")
+    # folders with wildcards are part of the pose as well
+    template = [re.sub(r"\*+", "*", part) for part in (*folders, Path(name).stem) if re.search(r"[*?]", part)]
+    words = [word.strip("_- ") for word in template] or [Path(name).stem.strip("_- ")]
+    for file in sorted(glob.glob(str(Path(glob.escape(str(folder))) / named))):
+        match = expression.fullmatch(os.path.relpath(file, folder)) or expression.fullmatch(file)
+        pose = "_".join(words)
+        if match:
+            texts = re.split(r"[*?]", pose)
+            pose = "".join(chain.from_iterable(zip(texts, (*match.groups()[: len(texts) - 1], ""))))
+        yield pose.lstrip("_ ").rstrip("_- ") or Path(file).stem, Path(file)

@@ -15,8 +15,7 @@ from xarray.core import indexing
 from wavefield.errors import StoreError
 from wavefield.rig.camera import Camera
 from wavefield.rig.rig import Rig
-from wavefield.store.layout import PACKING, named_damage
-from wavefield.store.metadata import CHECKSUM, FINISHED
+from wavefield.store.layout import CHECKSUM, FINISHED, PACKING, named_damage
 from wavefield.store.read import CubeStore, find_store, open_group, read_layout
 from wavefield.store.recipe import recipe_of
 from wavefield.text import one_line

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from wavefield.store import beside
-from wavefield.store.metadata import FINISHED
+from wavefield.store.layout import FINISHED
 from wavefield.store.read import find_store, open_group, read_array, read_layout
 from wavefield.store.verdict import Verdict, read_verdict
 from wavefield.text import short_path, spell_ranges

@@ -12,8 +12,15 @@ from zarr.storage import LocalStore
 
 from wavefield.atomic_write import MARK_ATTRIBUTE
 from wavefield.errors import StoreError
-from wavefield.store.layout import CHUNKED, CubeGroup, StoreLayout, chunk_path, named_damage
-from wavefield.store.metadata import FINISHED, read_metadata
+from wavefield.store.layout import (
+    CHUNKED,
+    FINISHED,
+    CubeGroup,
+    StoreLayout,
+    chunk_path,
+    named_damage,
+    read_metadata,
+)
 from wavefield.text import one_line
 
 

@@ -15,14 +15,15 @@ from wavefield.store.layout import (
     CHUNKED,
     DESCRIPTION,
     FILES_OF_ALL_CHUNKS,
+    FINISHED,
     MISSING,
     PACKING,
     CubeGroup,
     chunk_path,
     in_16_bits,
     title,
+    update_metadata,
 )
-from wavefield.store.metadata import FINISHED, update_metadata
 from wavefield.store.preview import read_steps, write_preview
 from wavefield.store.read import open_group, read_layout
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus

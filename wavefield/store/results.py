@@ -1,18 +1,49 @@
-"""Write and open the store of a cube's waves: spectra and other results of `wavefield analyze`."""
+"""Stores of results made from a cube: its waves (`wavefield analyze`), and the errors of its camera pairs."""
 
+import shutil
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 import zarr
 from zarr.storage import MemoryStore
 
-from wavefield.atomic_write import Product, atomic, identity_of, read_mark
+from wavefield.atomic_write import (
+    MARK_ATTRIBUTE,
+    Product,
+    atomic,
+    identity_of,
+    read_mark,
+    write_mark,
+    writing,
+)
 from wavefield.errors import StoreError
+from wavefield.store.layout import add_array
+from wavefield.variables import Variable, annotate, register, rows_of
 
-KIND = "wave store"
+WAVES = "wave store"  # kinds of output, for the marks
+_PAIRS = "pair statistics"
+PAIR_GROUP = "pair_statistics"  # in the store of the cube
+_TEXTS = ("quantity", "cameras", "units")  # kept as attributes: Zarr 3 has no fixed-length strings
+
+register(
+    Variable(
+        "rms", ("error",), "", "rms of an error, without values beyond three times the rms", group=PAIR_GROUP
+    ),
+    Variable("beyond", ("error",), "1", "fraction of values beyond three times the rms", group=PAIR_GROUP),
+    Variable(
+        "density",
+        ("error", "bin"),
+        "1",
+        "probability density of an error over its rms",
+        group=PAIR_GROUP,
+        meaning="in units of 1/rms",
+    ),
+    Variable("bin", ("bin",), "1", "centre of a bin, over the rms", dtype="float64", group=PAIR_GROUP),
+)
 
 
 def write_waves(tree: xr.DataTree, path: str | Path, source: str = "", inputs: Iterable[object] = ()) -> None:
@@ -25,7 +56,7 @@ def write_waves(tree: xr.DataTree, path: str | Path, source: str = "", inputs: I
             {name: array.astype(object) for name, array in group.coords.items() if array.dtype.kind == "U"}
         )
     )
-    product = Product(KIND, source or identity_of())
+    product = Product(WAVES, source or identity_of())
     with atomic(path, product, inputs=inputs) as draft, warnings.catch_warnings():
         # readers warn without consolidated metadata, zarr warns with it
         warnings.filterwarnings("ignore", message="Consolidated metadata")
@@ -79,3 +110,31 @@ def open_waves(path: str | Path) -> xr.DataTree:
             "move it, and write it again with `wavefield analyze CUBE`"
         )
     return xr.open_datatree(path, engine="zarr", chunks={})
+
+
+def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> None:
+    """Write statistics of camera pairs into the cube at `path`, in place of earlier ones.
+    `statistics` is a Dataset as `read_pair_statistics` returns it, and `state` identifies the steps of the
+    cube that are measured (`state_of`)."""
+    attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
+    with writing(path / PAIR_GROUP):
+        shutil.rmtree(path / PAIR_GROUP, ignore_errors=True)
+        group = zarr.open_group(path / PAIR_GROUP, mode="w", zarr_format=3, attributes=attributes)
+        for row in rows_of(PAIR_GROUP):
+            add_array(group, row, statistics[row.name].values.astype(row.dtype), fill_value=np.nan)
+        write_mark(path / PAIR_GROUP, Product(_PAIRS, state))
+
+
+def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
+    """Load the error statistics of a cube's camera pairs; None if there are none or they were changed.
+    The variables are ``rms`` and ``beyond`` (error), and ``density`` (error, bin); the coordinates
+    ``quantity``, ``cameras`` and ``units`` describe each error. The attribute ``cube_state`` identifies the
+    steps of the cube that were measured when the statistics were made (`state_of`)."""
+    path = Path(store) / PAIR_GROUP
+    mark = read_mark(path)
+    if mark is None or mark.kind != _PAIRS:
+        return None
+    out = xr.open_zarr(path, consolidated=False, chunks=None).load()
+    out.attrs.pop(MARK_ATTRIBUTE)
+    texts = {name: ("error", np.array(out.attrs.pop(name))) for name in _TEXTS}
+    return annotate(out.assign_coords(texts).assign_attrs(cube_state=mark.source), PAIR_GROUP)

@@ -1,4 +1,4 @@
-"""The log file of a run next to its store, and the folder for the output of Slurm jobs."""
+"""Files next to the store that a run writes: its lock, its log, and the folder for output of Slurm jobs."""
 
 import logging
 import re
@@ -6,7 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from wavefield.atomic_write import check_replaceable, writing
+from wavefield.errors import StoreError
 
 log = logging.getLogger("wavefield.run")
 
@@ -48,3 +51,24 @@ def log_file(store: Path) -> Iterator[None]:
         log.setLevel(level)
         with suppress(OSError):
             handler.close()
+
+
+@contextmanager
+def locked(store: Path) -> Iterator[None]:
+    """Context manager: lock a store by a file next to it; StoreError if another run holds the lock.
+    The operating system releases the lock when its process ends, even if it is killed."""
+    path = store.with_name(f".{store.name}.lock")
+    lock = FileLock(path, timeout=0)
+    with writing(store):
+        store.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_symlink() or (path.exists() and (not path.is_file() or path.stat().st_size)):
+            raise StoreError(f"{path} is not a lock that wavefield wrote; move it, or choose another name")
+        try:
+            lock.acquire()
+        except Timeout:
+            raise StoreError(f"another run is writing {store}; wait for it, or stop it") from None
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)  # before the release, after which another run may hold the file
+        lock.release()
