@@ -17,8 +17,8 @@ from wavefield.errors import FrameError, RigError, WavefieldError
 from wavefield.explorer import lights
 from wavefield.explorer.lights import FrameFeatures, PairSummary, StatusLight, StepSummary
 from wavefield.measurement import GridGeometry, Model, learn, measure
+from wavefield.measurement.elevation import match_pair
 from wavefield.measurement.images import prepare, ready, usable
-from wavefield.measurement.pair import match_pair
 from wavefield.rig import Rig
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.backgrounds import read_backgrounds, refuse_other_images

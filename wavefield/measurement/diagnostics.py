@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.displacement import flows
-from wavefield.measurement.elevation import PreparedImages, surface, windowed
+from wavefield.measurement.elevation import PairMatch, PreparedImages, match_pair, surface, windowed
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import Images, images_of
 from wavefield.measurement.model import Model, shortest_carried
-from wavefield.measurement.pair import PairMatch, match_pair
 from wavefield.measurement.paths import EVEN_TIMES
 from wavefield.measurement.record import learn
 from wavefield.measurement.velocity import velocity

@@ -15,8 +15,8 @@ from wavefield.matching.blocks import slopes as slopes_of
 from wavefield.matching.map_field import Modes
 from wavefield.matching.pyramid import reevaluate
 from wavefield.matching.spectrum import averaged
+from wavefield.measurement.elevation import why_rejected
 from wavefield.measurement.model import MAX_EVALUATIONS, Convergence, FieldModel, Model
-from wavefield.measurement.pair import why_rejected
 from wavefield.measurement.regrid import push_pull
 from wavefield.variables import Quality
 

@@ -3,7 +3,7 @@
 A step is the interval between two frames; an instant is the time of one frame. The stages of a step:
 
 images        remove the background, compress, bin         `measure_instant`, images.py
-elevation     match the pairs, z of one instant            `surface`, pair.py and elevation.py
+elevation     match the pairs, z of one instant            `surface`, elevation.py
 displacement  match each camera in time                    `flows`, displacement.py
 mid-time      z from six instants, in moving water         `z_at_mid_time`, midtime.py
 paths         each camera's image velocity at the nodes    `displacements_at_nodes`, paths.py

@@ -29,7 +29,7 @@ def level_at_rest(
     ``progress`` is called with the numbers of frames done and of all frames. Returns the corrected rig, a
     check of the given rig, and the plane of the water in the coordinates of the given rig."""
     from wavefield.calibration.still_water import refine_and_level
-    from wavefield.measurement.pair import matched_pixels
+    from wavefield.measurement.elevation import matched_pixels
 
     prepared = prepare(experiment, rig)
     series = prepared.series

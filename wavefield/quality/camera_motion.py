@@ -78,7 +78,7 @@ def sample(
     """Match two cameras at one frame, and average over patches; None without an image or with few matches.
     ``flat`` holds the filtered image of each camera. ``displacement`` (3, ny, nx) is the displacement of the
     water along x, y and z at the grid nodes, metres per frame, NaN where not measured."""
-    from wavefield.measurement.pair import match_pair
+    from wavefield.measurement.elevation import match_pair
 
     if not all(name in flat for name in pair):
         return None
