@@ -166,7 +166,7 @@ def diagnose(
     -----
     The recombined displacement is (x_1 - x_2) = (x_1 - x_3) - (x_2 - x_3), with camera 3 as reference.
     """
-    if geometry.settings.sheet_thickness is not None:
+    if geometry.z_is_known:
         raise ValueError("cameras of a light sheet are not matched with each other: no pairs to compare")
     geometry, model, first, second = _learned(frames, geometry, model, masks or {})
     record = model.record

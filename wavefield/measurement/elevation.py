@@ -349,7 +349,7 @@ class Surface:
     eps_y: Float  # (ny, nx): epipolar error, metres
     noise: Float  # (ny, nx): variance of z due to noise, m^2
     missing: Float  # (ny, nx): variance of waves that the prior suppresses, m^2
-    epipolar: float  # rms of the smooth epipolar error as elevation, metres
+    epipolar: float  # rms of the smooth epipolar error as elevation, or of z in a light sheet, metres
     quality: NDArray[np.uint16]  # (ny, nx): bits of `Quality`: measured or filled, and why it was rejected
     inconsistent: Mask  # (ny, nx): where pairs of cameras give different elevations
     # read(x, y): elevation at points x, y (ny, nx), one near each node, metres
@@ -361,7 +361,7 @@ class Surface:
 def surface(prepared: PreparedImages, geometry: GridGeometry, model: FieldModel) -> Surface | None:
     """Measure z at the nodes from rectified images; a light sheet has z = 0. None if too few blocks match."""
     if geometry.settings.sheet_thickness is not None:
-        return _sheet(geometry.grid.shape)
+        return _sheet(geometry.grid.shape, geometry.settings.sheet_thickness)
     found = match_pairs(prepared, geometry)
     return None if found is None else surface_of(*found, prepared, geometry, model)
 
@@ -407,13 +407,22 @@ def surface_of(
     )
 
 
-def _sheet(shape: tuple[int, int]) -> Surface:
-    """Return the surface for a light sheet: z = 0 at all nodes (ny, nx), measured, without uncertainty."""
+def _sheet(shape: tuple[int, int], thickness: float) -> Surface:
+    """Return the surface for a light sheet: z = 0 at all nodes (ny, nx), measured.
+    The `thickness`, m, counts as four standard deviations of z."""
     z = np.zeros(shape, np.float32)
     quality, inconsistent = np.full(shape, Quality.MEASURED, np.uint16), np.zeros(shape, bool)
     unknown = np.full_like(z, np.nan)
     return Surface(
-        z, unknown, z, z, 0.0, quality, inconsistent, lambda x, y: z, lambda x, y, z: ~inconsistent
+        z,
+        unknown,
+        z,
+        z,
+        0.25 * thickness,
+        quality,
+        inconsistent,
+        lambda x, y: z,
+        lambda x, y, z: ~inconsistent,
     )
 
 

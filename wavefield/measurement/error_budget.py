@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from wavefield.matching import Prior
 from wavefield.matching.kernels import BLOCK
 from wavefield.measurement.displacement import FlowEstimate
-from wavefield.measurement.geometry import GridGeometry
+from wavefield.measurement.geometry import WAVE_VARIANCES, GridGeometry
 from wavefield.measurement.midtime import StepEstimate
 from wavefield.measurement.model import LearnedRecord
 from wavefield.measurement.paths import (
@@ -35,7 +35,7 @@ from wavefield.measurement.paths import (
     path_gain,
 )
 from wavefield.measurement.regrid import BlockLattice
-from wavefield.measurement.velocity import MIN_NODES, WAVE_VARIANCES
+from wavefield.measurement.velocity import MIN_NODES
 from wavefield.rig.field import pixel_at
 from wavefield.variables import EXACT_SIX, PATH_WEIGHTS, frames_of_path
 from wavefield.water import dispersion
@@ -216,8 +216,6 @@ def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
     The calibration error along the sight lines is taken to equal the smooth epipolar error across them."""
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     out[0] = np.mean([one.epipolar**2 for one in estimate.nearest])
-    if geometry.settings.sheet_thickness is not None:  # four standard deviations of the light
-        out[0] = (0.25 * geometry.settings.sheet_thickness) ** 2
     tilt = bead_tilt(estimate.mid_time.rise, geometry.grid.step, geometry.settings.bead_height)
     out[1:3] = np.square(RELATIVE_HEIGHT_STD * tilt)
     return out
@@ -233,7 +231,7 @@ def bead_tilt(rise: Float, step: float, height: float) -> Float:
 def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
     """Return the standard uncertainty, m, of the level z = 0, which all nodes share; NaN if unknown."""
     levelled = geometry.rig.provenance.get("levelled")
-    if geometry.settings.sheet_thickness is not None:
+    if geometry.z_is_known:
         return 0.0  # `stated_by_setup` contains it
     for name in ("camera_height_std_m", "rms_m"):
         if isinstance(levelled, Mapping) and name in levelled:

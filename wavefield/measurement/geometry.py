@@ -219,6 +219,9 @@ class Covered:
         return np.asarray(inside & (whole[row, column] == 0))
 
 
+# Relative variances of u, v, w in deep-water waves from all directions: circular orbits have as much
+# horizontal as vertical motion.
+WAVE_VARIANCES = np.array([0.5, 0.5, 1.0])
 Pair = tuple[str, str]
 Outlines = tuple[tuple[tuple[float, float], ...], ...]
 
@@ -315,6 +318,18 @@ class GridGeometry:
     def cameras(self) -> tuple[str, ...]:
         """Cameras that measure z or velocities, in the order of the rig."""
         return tuple(n for n in self.rig if n in self.surface_cameras or n in self.velocity_cameras)
+
+    @property
+    def z_is_known(self) -> bool:
+        """Whether particles in a light sheet on z = 0 are measured, and not a water surface.
+        Cameras are then matched in time only, z and its rise are 0, and the gain of z is unknown."""
+        return self.settings.sheet_thickness is not None
+
+    @property
+    def wave_variances(self) -> Float:
+        """Relative variances (3,) of u, v, w in waves that the prior suppresses.
+        They are equal in a light sheet; on water, w has as much as u and v together."""
+        return np.ones(3) if self.z_is_known else WAVE_VARIANCES
 
     @property
     def middle(self) -> tuple[float, float]:

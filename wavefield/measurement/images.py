@@ -249,7 +249,7 @@ class Images:
     def rectified(self, left_out: str | None = None) -> dict[str, matching.PreparedImage]:
         """Return the frames, rectified and prepared for matching between cameras, by camera.
         There are none for a light sheet, and none of the camera `left_out`."""
-        if self.geometry.settings.sheet_thickness is not None:
+        if self.geometry.z_is_known:
             return {}
         return {
             name: prepare(

@@ -169,9 +169,8 @@ def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
 
 
 def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
-    """Return the mean over the cameras of their `lateness`, (ny, nx); None for global shutters or a sheet.
-    Only rolling shutters see the nodes late; in a light sheet, z is not measured."""
-    if not geometry.settings.row_delays or geometry.settings.sheet_thickness is not None:
+    """Return the mean over the cameras of their `lateness`, (ny, nx); None for global shutters."""
+    if not geometry.settings.row_delays:
         return None
     return np.asarray(np.mean(list(lateness(z, geometry).values()), axis=0))
 

@@ -255,7 +255,7 @@ def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str,
     found = dict.fromkeys("zuvw", unknown)
     if record is not None:
         found = gains(geometry, record, k * np.cos(direction[:, None]), k * np.sin(direction[:, None]))
-        if geometry.settings.sheet_thickness is not None:
+        if geometry.z_is_known:
             found["z"] = unknown
     return {"direction": direction, "k": k} | {f"gain_{name}": values for name, values in found.items()}
 

@@ -50,7 +50,7 @@ from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import Masks, bead_width, images_of, usable
 from wavefield.measurement.model import FieldModel, LearnedRecord, displacement_model, elevation_model
 from wavefield.measurement.paths import EVEN_TIMES, displacements_at_nodes
-from wavefield.measurement.velocity import component_variances, image_variance, solve_motion, velocity
+from wavefield.measurement.velocity import image_variance, solve_motion, velocity
 from wavefield.one_thread import one_thread
 from wavefield.robust import robust_std
 from wavefield.variables import EXACT_SIX, Quality
@@ -140,15 +140,14 @@ def _learned(
     frame_rate: float | None,
 ) -> LearnedRecord | None:
     """Do what `learn` does, with a pool of threads: all stages in order."""
-    sheet = geometry.settings.sheet_thickness is not None
     # widths of the beads, which the preparation of the images needs
     beads = _bead_widths(steps, masks, geometry, pool)
     samples = list(pool.map(partial(_SampleStep.match, geometry, beads), steps, masks))
     # first spectra
-    heights = [] if sheet else _elevation_samples(samples, geometry, pool)
+    heights = [] if geometry.z_is_known else _elevation_samples(samples, geometry, pool)
     moved = {name: _displacement_samples(name, samples, beads, geometry, pool) for name in geometry.sights}
     moved = {name: fields for name, fields in moved.items() if fields and name in geometry.velocity_cameras}
-    if len(moved) < 2 or not (heights or sheet):
+    if len(moved) < 2 or not (heights or geometry.z_is_known):
         return None
     z_prior, noise = _elevation_prior(heights, pool) if heights else (_FLAT, 0.0)
     if heights and all(beads.values()):
@@ -179,6 +178,7 @@ def _learned(
     if frame_rate is not None:
         waves = detected_waves(z_prior, geometry.pixel, frame_rate)
         path_frames = best_path_frames(waves, found.noise_variance)
+    rise = 0.0 if geometry.z_is_known else ripple_rise(found.shared, found.total)
     motion = {
         name: max(motion_variance(one.displacements[name]) for one in samples if name in one.displacements)
         for name in moved
@@ -189,7 +189,7 @@ def _learned(
         tuple(priors.items()),
         tuple(motion.items()),
         path_frames,
-        (0.0 if sheet else ripple_rise(found.shared, found.total), RIPPLE_BLOCKS * BLOCK * geometry.pixel),
+        (rise, RIPPLE_BLOCKS * BLOCK * geometry.pixel),
     )
 
 
@@ -422,7 +422,7 @@ def _differences(
     fitted = np.einsum("riyx,iyx->ryx", displacements.jacobian, motion.d)
     rest = np.median((displacements.moved - fitted)[:, good], axis=1)
     steady = replace(displacements, moved=displacements.moved - rest[:, None, None].astype(np.float32))
-    parts = component_variances(geometry.settings)
+    parts = geometry.wave_variances
     solved = solve_motion(steady, parts)
     freedom = 2 * len(names) - 3
     noise = float(np.median(solved.misfit[good])) / (2 * gammaincinv(freedom / 2, 0.5) / freedom)

@@ -337,6 +337,10 @@ def _estimate(
     first, second = surfaces[AROUND : AROUND + 2]
     assert first is not None
     assert second is not None
+    if geometry.z_is_known:
+        motion = velocity(moves, first.z, geometry, path_frames, times, may_leave_out)
+        still = MidTime(first.z, first.z, np.full(first.z.shape, 2 * AROUND + 2, np.uint8), first.quality > 0)
+        return None if motion is None else StepEstimate(surfaces, motion, still)
     near = np.float32(0.5) * (first.z + second.z)
     flow, late = mean_flow(moves, near, geometry, path_frames, times), common_lateness(near, geometry)
     if flow is None:
@@ -350,10 +354,7 @@ def _estimate(
         if late is not None:
             z = without_shutters(orders[0], motion, geometry)
     assert motion is not None
-    if geometry.settings.sheet_thickness is not None:  # a light sheet does not rise
-        rise = np.zeros_like(z)
-    else:
-        rise = rise_of_water(first, second, motion, flow, geometry.x, geometry.y)
+    rise = rise_of_water(first, second, motion, flow, geometry.x, geometry.y)
     return StepEstimate(surfaces, motion, MidTime(z, rise, frames, measured, _departure(orders, frames)))
 
 

@@ -14,7 +14,6 @@ from wavefield.compiled import compiled
 from wavefield.measurement.displacement import Flows
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.paths import CameraDisplacements, displacements_at_nodes
-from wavefield.measurement.settings import Settings
 from wavefield.variables import Quality
 
 Float = NDArray[Any]
@@ -72,7 +71,7 @@ def solve_nodes(
     """Solve for the motion of the water at n nodes, seen by N cameras, and write it to out (16, n).
 
     Rows in threes: displacement d at mid-time, chord, bend, variance of d due to noise. Then one row each:
-    variance of suppressed waves over `parts` (3,), from `component_variances`; misfit |J d - moved| /
+    variance of suppressed waves over `parts` (3,), relative variances of u, v, w; misfit |J d - moved| /
     sqrt(2N), px; chi^2 per degree of freedom; the factor (at least 1) by which chi^2 enlarges the noise
     variance. `jacobian` is (2N, 3, n), `axes` (N, 3), the other fields (2N, n), as in `CameraDisplacements`.
     """
@@ -135,9 +134,6 @@ def solve_nodes(
         out[15, k] = max((1.0 + chi2) / (1.0 + freedom), 1.0) if ok else np.nan
 
 
-# Relative variances of u, v, w in deep-water waves from all directions: circular orbits have as much
-# horizontal as vertical motion.
-WAVE_VARIANCES = np.array([0.5, 0.5, 1.0])
 _NODES_FOR_MEAN_FLOW = 500  # about as many nodes suffice for a median
 
 
@@ -181,7 +177,7 @@ def velocity(
     if len(names) < 2:
         return None
     displacements = displacements_at_nodes(names, steps, z, geometry, path_frames, times)
-    parts = component_variances(geometry.settings)
+    parts = geometry.wave_variances
     motion = solve_motion(displacements, parts)
     measured = (displacements.rejected == 0).all(axis=0)
 
@@ -235,7 +231,7 @@ def mean_flow(
         return None
     every = max(1, round(np.sqrt(z.size / _NODES_FOR_MEAN_FLOW)))
     displacements = displacements_at_nodes(names, steps, z, geometry, path_frames, times, every)
-    chord = solve_motion(displacements, component_variances(geometry.settings)).chord
+    chord = solve_motion(displacements, geometry.wave_variances).chord
     measured = np.isfinite(chord).all(axis=0)
     if not measured.any():
         return 0.0, 0.0
@@ -248,7 +244,7 @@ def _cameras(steps: Sequence[Flows | None]) -> list[str]:
 
 
 def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
-    """Compute the motion of the water by least squares; `parts` (3,) come from `component_variances`."""
+    """Compute the motion of the water by least squares; `parts` (3,) are `GridGeometry.wave_variances`."""
     names = ("jacobian", "moved", "chord", "bend", "noise", "missing")
     fields = {name: np.ascontiguousarray(getattr(displacements, name), np.float32) for name in names}
     flat = [f.reshape(*f.shape[:-2], -1) for f in fields.values()]
@@ -273,12 +269,6 @@ def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
         chord=chord,
         bend=bend,
     )
-
-
-def component_variances(settings: Settings) -> Float:
-    """Return the relative variances (3,) of u, v, w in waves that the prior suppresses.
-    They are equal in a light sheet; on water, w has as much as u and v together."""
-    return WAVE_VARIANCES if settings.sheet_thickness is None else np.ones(3)
 
 
 def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:
