@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from measurement_cases import PIXEL
 
-from wavefield.measurement import GridGeometry, Settings, diagnose
+from wavefield.measurement import GridGeometry, Settings
+from wavefield.measurement.diagnostics import diagnose
 
 
 @pytest.fixture(scope="module")

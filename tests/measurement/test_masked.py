@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 from measurement_cases import RATE, around
 
-from wavefield.measurement import GridGeometry, LearnedRecord, Model, diagnose, learn, measure
+from wavefield.measurement import GridGeometry, Model, learn, measure
+from wavefield.measurement.diagnostics import diagnose
+from wavefield.measurement.model import LearnedRecord
 from wavefield.series.frames import CameraMask
 from wavefield.series.masks import MaskSection, footprints, outline_in_image
 from wavefield.variables import Quality

@@ -9,8 +9,9 @@ from measurement_cases import PIXEL, RATE, around
 
 from wavefield.errors import ExperimentError
 from wavefield.grid import Grid
-from wavefield.measurement import GridGeometry, LearnedRecord, Model, Settings, learn, measure
+from wavefield.measurement import GridGeometry, Model, Settings, learn, measure
 from wavefield.measurement.midtime import slope
+from wavefield.measurement.model import LearnedRecord
 from wavefield.rig import Rig
 from wavefield.variables import CUBE_FIELDS, FrameStatus, Quality
 

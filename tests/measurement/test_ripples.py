@@ -8,8 +8,9 @@ import pytest
 from measurement_cases import RATE
 
 from wavefield.grid import Grid
-from wavefield.measurement import GridGeometry, LearnedRecord, Model, learn, measure
+from wavefield.measurement import GridGeometry, Model, learn, measure
 from wavefield.measurement.error_budget import ripple_rise, ripples, shared_motion
+from wavefield.measurement.model import LearnedRecord
 from wavefield.measurement.regrid import BlockLattice
 from wavefield.tank import Scene, Tank
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from wavefield.grid import Grid
-from wavefield.measurement import GridGeometry, LearnedRecord, Model, learn, measure
+from wavefield.measurement import GridGeometry, Model, learn, measure
+from wavefield.measurement.model import LearnedRecord
 from wavefield.tank import Scene, Tank
 from wavefield.variables import EXACT_SIX
 

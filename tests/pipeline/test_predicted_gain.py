@@ -4,8 +4,8 @@ import xarray as xr
 import wavefield as wf
 from wavefield.grid import Grid
 from wavefield.matching import Prior
-from wavefield.measurement import GridGeometry, LearnedRecord, Settings
-from wavefield.measurement.model import tabulated
+from wavefield.measurement import GridGeometry, Settings
+from wavefield.measurement.model import LearnedRecord, tabulated
 from wavefield.tank import Scene
 from wavefield.waves.gains import read_gain
 

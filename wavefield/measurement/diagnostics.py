@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -29,45 +29,25 @@ MAX_TRIED_STEPS = 12  # steps that are tried, nearest first, if frames are missi
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Differences between cameras and pairs of cameras in one step; NaN where not measured.
+    """Differences between cameras and pairs of cameras in one step; NaN where not measured."""
 
-    Parameters
-    ----------
-    pixel : float
-        Length that counts as one pixel, metres.
-    z : dict of (str, str) to ndarray, (ny, nx)
-        Elevation at the first frame from each pair alone, metres. The pairs are those of the geometry, which
-        contain the reference, and the direct pairs of the other cameras.
-    eps_y : dict of (str, str) to ndarray, (n,)
-        Epipolar error of all matched blocks, before any is rejected for it, metres.
-    z_std : dict of (str, str) to float
-        Rms of eps_y over |dD|, metres: the standard uncertainty of z if the matching error is isotropic.
-    recombined : dict of (str, str) to ndarray, (ny, nx)
-        For a direct pair, elevation from the difference of two displacements from the reference, minus that
-        from direct matching, metres.
-    moved : dict of (str, str) to ndarray, (3, ny, nx)
-        Displacement dx, dy, dz from the first frame to the second by each pair alone, metres.
-    eps_piv : dict of tuple of str to ndarray, (ny, nx)
-        Misfit of the displacements in the images, px of the binned images: of each pair alone, and of all
-        cameras that measure the velocity.
-    carried : dict of str to float
-        Wavelength at which the gain of z, u, v, w is one half, metres (`shortest_carried`).
-    noise : dict of str to float
-        Median standard uncertainty of z and of the displacements dx, dy, dz per step, metres.
-    widths : dict of str to float
-        Width of the beads in the images of every camera, px; 0 for a texture.
-    """
-
-    pixel: float
+    pixel: float  # length that counts as one pixel, metres
+    # (ny, nx): elevation at the first frame from each pair alone, metres; pairs are those of the geometry,
+    # which contain the reference, and the direct pairs of the other cameras
     z: dict[Pair, NDArray[Any]]
-    eps_y: dict[Pair, NDArray[Any]]
+    eps_y: dict[Pair, NDArray[Any]]  # (n,): epipolar error of all matched blocks, with rejected ones, metres
+    # rms of eps_y over |dD|, metres: the standard uncertainty of z if the matching error is isotropic
     z_std: dict[Pair, float]
+    # (ny, nx): for a direct pair (1, 2) and the reference 3, elevation from the difference (x_1 - x_3) -
+    # (x_2 - x_3) of two displacements, minus that from direct matching, metres
     recombined: dict[Pair, NDArray[Any]]
-    moved: dict[Pair, NDArray[Any]]
+    moved: dict[Pair, NDArray[Any]]  # (3, ny, nx): displacement dx, dy, dz by each pair alone, metres
+    # (ny, nx): misfit of the displacements in the images, px of the binned images: of each pair alone, and of
+    # all cameras that measure the velocity
     eps_piv: dict[tuple[str, ...], NDArray[Any]]
-    carried: dict[str, float] = field(default_factory=dict)
-    noise: dict[str, float] = field(default_factory=dict)
-    widths: dict[str, float] = field(default_factory=dict)
+    carried: dict[str, float]  # wavelength at which the gain of z, u, v, w is one half, metres
+    noise: dict[str, float]  # median standard uncertainty of z and of dx, dy, dz per step, metres
+    widths: dict[str, float]  # width of the beads in the images of every camera, px; 0 for a texture
 
     @property
     def difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
@@ -81,13 +61,8 @@ class Diagnosis:
 
     def table(self) -> list[dict[str, Any]]:
         """Return a table with the rms of every error.
-
-        Returns
-        -------
-        list of dict
-            ``name``; the rms in ``cm`` (None for errors measured in the images) and ``px``; ``share``, the
-            fraction of nodes or blocks beyond three times the rms, which the rms excludes.
-        """
+        A row has its ``name``; the rms in ``cm`` (None for errors measured in the images) and ``px``; and
+        ``share``, the fraction of nodes or blocks beyond three times the rms, which the rms excludes."""
         rows = []
         for pair, values in self.eps_y.items():
             rows.append(self._row(f"eps_y {joined(pair)}", values))
@@ -139,32 +114,9 @@ def diagnose(
 ) -> Diagnosis:
     """Compare elevation and motion between the pairs of cameras, in one step.
 
-    Parameters
-    ----------
-    frames : mapping of str to sequence of 2 ndarray
-        The two frames of one step, per camera.
-    geometry : GridGeometry
-        Rig, grid and settings.
-    model : Model, optional
-        The learned record. Default: learned from these frames.
-    pixel : float, optional
-        Length that counts as one pixel, metres. Default: that of the rectified images.
-    masks : mapping of str to sequence of 2 ndarray of bool, optional
-        True on pixels to ignore, per camera and frame.
-
-    Returns
-    -------
-    Diagnosis
-
-    Raises
-    ------
-    ValueError
-        If the frame of a camera is missing or unusable, if nothing can be matched, or for a light sheet,
-        whose cameras are not matched with each other.
-
-    Notes
-    -----
-    The recombined displacement is (x_1 - x_2) = (x_1 - x_3) - (x_2 - x_3), with camera 3 as reference.
+    `frames` are both frames of each camera, `masks` True on pixels to ignore. `model` is learned from these
+    frames if None. `pixel` is the length that counts as one pixel, metres; None: that of the rectified
+    images. ValueError if a frame is missing or unusable, if nothing can be matched, or for a light sheet.
     """
     if geometry.z_is_known:
         raise ValueError("cameras of a light sheet are not matched with each other: no pairs to compare")

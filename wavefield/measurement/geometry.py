@@ -243,31 +243,12 @@ class GridGeometry:
     covered : tuple of ((x, y), ...)
         Outlines of objects in the water, metres, inside which nodes are masked.
 
-    Attributes
-    ----------
-    pairs : tuple of (str, str)
-        Pairs of cameras that measure z; the first of each is the reference.
-    velocity_cameras : tuple of str
-        Cameras whose displacements give u, v, w.
-    z_range : (float, float)
-        Lowest and highest elevation that is searched, metres.
-    plane : RectifiedPlane
-        Pixels of the rectified images, in apparent positions of the reference.
-    views : dict of str to RectifiedView
-        Maps and masks of every camera that measures z.
-    sights : dict of str to Sight
-        Image positions of the nodes in every measuring camera.
-
     Raises
     ------
     ExperimentError
         If a camera is named that the rig does not have, or the pairs have no camera in common.
     RigError
         If the cameras have no common view of the grid.
-
-    Notes
-    -----
-    Pickling stores the parameters alone; a process that loads the pickle computes the rest, once.
     """
 
     def __init__(
@@ -280,15 +261,17 @@ class GridGeometry:
         for name in {name for pair in settings.pairs for name in pair} | set(settings.velocity_cameras):
             if name not in rig.cameras:
                 raise ExperimentError(f"the rig has no camera {name!r}; it has {', '.join(rig)}")
+        # pairs of cameras that measure z, the reference first in each; cameras that measure u, v, w
         self.pairs = _with_reference_first(settings.pairs) if settings.pairs else pairs_of(rig, tuple(rig))
         self.velocity_cameras = settings.velocity_cameras or tuple(rig)
 
         distance = float(np.linalg.norm(rig[self.reference].centre - [*self.middle, 0.0]))
+        # lowest and highest elevation that is searched, metres
         reach = settings.sheet_thickness or _Z_RANGE * distance
         self.z_range = settings.z_range or (-reach, reach)
         self._check_view()
         coarsest = max(pixel_at(rig[name], *self.middle) for name in self.cameras)
-        self.sights = {}
+        self.sights: dict[str, Sight] = {}  # image positions of the nodes in every measuring camera
         for name in self.cameras:  # bin the images of finer cameras to about the coarsest pixel on the water
             binning = max(1, round(coarsest / pixel_at(rig[name], *self.middle)))
             self.sights[name] = Sight(rig[name], binning, self.x, self.y, self.z_range)
@@ -296,12 +279,13 @@ class GridGeometry:
         pixel = settings.pixel or self._fitting_pixel()
         self.plane: RectifiedPlane = fit_plane(cameras, self.x, self.y, self.z_range, pixel)
         surface_sights = {name: self.sights[name] for name in self.surface_cameras}
+        # maps and masks of every camera that measures z
         self.views: dict[str, RectifiedView] = rectified_views(
             surface_sights, self.plane, self.middle, settings.stereo
         )
         self.prepared_masks: dict[str, tuple[Pixels, Covered]] = {}  # the last mask of each camera
 
-    def __reduce__(self) -> tuple[object, ...]:
+    def __reduce__(self) -> tuple[object, ...]:  # a process that loads the pickle computes the rest, once
         return _cached, (tuple(self.rig.cameras.items()), self.grid, self.settings, self.covered)
 
     @property

@@ -28,31 +28,19 @@ Float = NDArray[Any]
 @dataclass(frozen=True)
 class LearnedRecord:
     """Beads, spectra and noise of a record, learned from sample frames (`learn`).
+    Values of single cameras are in pairs (name of the camera, value)."""
 
-    Parameters
-    ----------
-    beads : tuple of (str, float)
-        Width of the beads in the images of every camera, raw px; 0 for a texture.
-    elevation : Prior
-        Prior of z on the rectified lattice, metres.
-    displacement : tuple of (str, Prior)
-        Prior of the displacement from frame to frame of every velocity camera, px of the binned image.
-    motion : tuple of (str, float)
-        Variance of the matched displacement of every velocity camera over the field, px^2: the largest among
-        the sample steps.
-    path_frames : int
-        Kind of the paths that give velocities with the smallest error: through 4 frames (4), through 6
-        smoothed frames, with less noise (6), or through 6 exactly (7); see `path_weights`.
-    ripples : (float, float)
-        Standard deviation of the rise per frame of waves shorter than blocks, 0 without any, and their
-        wavelength, metres (`ripple_rise`).
-    """
-
-    beads: tuple[tuple[str, float], ...]
-    elevation: Prior
-    displacement: tuple[tuple[str, Prior], ...]
+    beads: tuple[tuple[str, float], ...]  # widths of beads in the images of every camera, raw px; 0: texture
+    elevation: Prior  # of z on the rectified lattice, metres
+    displacement: tuple[tuple[str, Prior], ...]  # per frame, of every velocity camera, px of binned images
+    # variance of the matched displacement of every velocity camera over the field, px^2: the largest among
+    # the sample steps
     motion: tuple[tuple[str, float], ...] = ()
+    # kind of the paths that give velocities with the smallest error: through 4 frames (4), through 6 smoothed
+    # frames, with less noise (6), or through 6 exactly (7); see `path_weights`
     path_frames: int = EXACT_SIX
+    # standard deviation of the rise per frame of waves shorter than blocks, 0 without any, and their
+    # wavelength, metres (`ripple_rise`)
     ripples: tuple[float, float] = (0.0, 0.0)
 
     def to_dict(self) -> dict[str, Any]:
@@ -68,13 +56,7 @@ class LearnedRecord:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> LearnedRecord:
-        """Make a record from the data that `to_dict` returned.
-
-        Raises
-        ------
-        ExperimentError
-            If an entry is missing, because another version of the measurement made it.
-        """
+        """Make a record from the data that `to_dict` returned; ExperimentError if an entry is missing."""
         try:
             rise, wavelength = map(float, data["ripples"])
             return cls(
@@ -152,29 +134,17 @@ class Model:
         Rig, grid and settings; defines the lattices.
     record : LearnedRecord
         Spectra, noise and beads from sample frames (`learn`).
-
-    Attributes
-    ----------
-    record : LearnedRecord
-        The parameter `record`.
-    elevation : FieldModel
-        Estimator of z on the rectified lattice, metres.
-    displacement : dict of str to FieldModel
-        Estimator of the displacement of every velocity camera, px of its binned image.
-
-    Notes
-    -----
-    Pickling stores the parameters alone; a process that loads the pickle computes the rest, once.
     """
 
     def __init__(self, geometry: GridGeometry, record: LearnedRecord) -> None:
         self._geometry, self.record = geometry, record
+        # estimators of z, metres, and of the displacement of every velocity camera, px of its binned image
         self.elevation = elevation_model(geometry, record.elevation, dict(record.beads))
         self.displacement = {
             name: displacement_model(geometry, name, prior) for name, prior in record.displacement
         }
 
-    def __reduce__(self) -> tuple[object, ...]:
+    def __reduce__(self) -> tuple[object, ...]:  # a process that loads the pickle computes the rest, once
         return _cached, (self._geometry, self.record)
 
 
@@ -261,29 +231,13 @@ def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str,
 
 
 def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> dict[str, Float]:
-    """Return the amplitude gains of the measured fields for waves.
+    """Return the amplitude gains of z, u, v and w, by name, for waves with wavenumbers kx, ky, rad/m.
 
-    Parameters
-    ----------
-    geometry : GridGeometry
-        Rig, grid and settings of the measurement.
-    record : LearnedRecord
-        The learned record of the measurement.
-    kx, ky : ndarray
-        Wavenumbers, rad/m.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Gains of z, u, v and w, each with the shape of the wavenumbers. The gain of interpolation in time
-        (`path_gain`) is not included.
-
-    Notes
-    -----
     The MAP field has the gain S / (S + N), with the learned spectrum S and noise N of the blocks. For
     velocities, this gain applies to the displacement of each camera in its own pixels; least squares over the
     cameras then gives that of u, v, w. It is averaged over the grid, because an oblique camera has much
-    longer pixels on the water far away than near.
+    longer pixels on the water far away than near. The gain of interpolation in time (`path_gain`) is not
+    included.
     """
     step = BLOCK * geometry.pixel
     z = _gain_between_blocks(record.elevation, kx * step, ky * step)[0]

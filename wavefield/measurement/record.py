@@ -1,8 +1,9 @@
 """Learn the beads, spectra and noise of a record from sample frames, once before its first step.
 
 In this order: widths of the beads; first spectra, from matched fields; noise, from differences between the
-cameras; second spectra, with this noise; the kind of paths; ripples. The result is a frozen `LearnedRecord`,
-which is stored with the cube, so that all steps are weighted alike.
+cameras, scaled so that their misfit has the median of chi^2; second spectra, with this noise; the kind of
+paths; ripples. The result is a frozen `LearnedRecord`, which is stored with the cube, so that all steps are
+weighted alike.
 """
 
 from __future__ import annotations
@@ -77,16 +78,13 @@ def sample_steps(count: int, number: int = 0) -> list[int]:
     count : int
         Number of steps of the record.
     number : int, default 0
-        0, 1 or 2 select different sets of steps; 1 and 2 are for records where the steps of set 0 cannot be
-        measured.
+        0, 1 or 2 select different sets; 1 and 2 are for records whose steps of set 0 cannot be measured.
 
     Returns
     -------
     list of int
         Numbers of at most four steps, counted from 0, evenly spaced over the record.
 
-    Examples
-    --------
     >>> sample_steps(100), sample_steps(100, 1), sample_steps(2)
     ([12, 37, 62, 87], [20, 45, 70, 95], [0, 1])
     """
@@ -121,12 +119,6 @@ def learn(
     -------
     LearnedRecord or None
         The argument of `Model`; None if z or the displacement of two cameras cannot be measured in any step.
-
-    Notes
-    -----
-    The first spectrum is that of the matched fields. MAP fields and spectra are then computed from each other
-    in turn (`refined_prior`). The noise of the displacements is scaled so that the misfit between the cameras
-    has the median of chi^2.
     """
     with ThreadPoolExecutor(threads) as pool:
         return _learned(steps, geometry, masks or [({}, {})] * len(steps), pool, frame_rate)

@@ -115,35 +115,25 @@ class Settings:
             if not low < high:
                 raise ExperimentError(f"z_range: the lowest elevation comes first, not {self.z_range}")
             object.__setattr__(self, "z_range", (low, high))
-        if self.pixel is not None and not self.pixel > 0:
-            raise ExperimentError(f"pixel: give a length above 0 m, not {self.pixel}")
-        self._check_sheet()
+        self._check_numbers()
+
+    def _check_numbers(self) -> None:
+        for name in ("pixel", "sheet_thickness"):
+            length = getattr(self, name)
+            if length is not None and not length > 0:
+                raise ExperimentError(f"{name}: give a length above 0 m, not {length}")
         for name in ("eps_limit", "bead_height"):
             if not getattr(self, name) >= 0:
                 raise ExperimentError(f"{name} must be 0 or more, not {getattr(self, name)}")
-
-    def _check_sheet(self) -> None:
-        if self.sheet_thickness is not None:
-            if not self.sheet_thickness > 0:
-                raise ExperimentError(f"sheet_thickness: give a length above 0 m, not {self.sheet_thickness}")
-            if self.bead_height:
-                raise ExperimentError("bead_height: particles in a light sheet do not float; leave it out")
+        if self.sheet_thickness is not None and self.bead_height:
+            raise ExperimentError("bead_height: particles in a light sheet do not float; leave it out")
 
     def adjusted(self, preset: str) -> Settings:
         """Return these settings, changed by a preset for another kind of images.
 
-        Parameters
-        ----------
-        preset : {"floating", "sheet", "texture"}
-            floating: beads, no change. sheet: particles that enter and leave a light sheet, so that frames
-            are weakly correlated. texture: a natural surface, such as the sea.
+        "floating" is for beads: no change. "sheet" is for particles that enter and leave a light sheet, so
+        that frames are weakly correlated. "texture" is for a natural surface, such as the sea.
 
-        Returns
-        -------
-        Settings
-
-        Examples
-        --------
         >>> Settings().adjusted("texture").stereo.window
         36.0
         """
@@ -152,13 +142,7 @@ class Settings:
         return replace(self, stereo=replace(self.stereo, **stereo), piv=replace(self.piv, **piv), **changes)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the settings as plain data, to be stored with the results.
-
-        Returns
-        -------
-        dict
-            Setting names to numbers, strings and lists; ``stereo`` and ``piv`` are dicts.
-        """
+        """Return the settings as plain data (numbers, strings, lists, dicts), to be stored with results."""
         out: dict[str, Any] = json.loads(json.dumps(asdict(self)))  # tuples become lists
         if not self.row_delays:  # older recipes have no such key
             del out["row_delays"]
@@ -168,22 +152,8 @@ class Settings:
     def from_dict(cls, data: Mapping[str, object], path: Path | None = None) -> Settings:
         """Make settings from the data that `to_dict` returned; missing ones keep their defaults.
 
-        Parameters
-        ----------
-        data : mapping
-            Setting names to values. ``stereo`` and ``piv`` need only the settings that differ. With
-            ``preset``, the defaults are those of `adjusted`.
-        path : path, optional
-            The file that contains these settings; error messages name it with the line.
-
-        Returns
-        -------
-        Settings
-
-        Raises
-        ------
-        ExperimentError
-            If a setting is unknown or its value is not valid.
+        ``stereo`` and ``piv`` need only the settings that differ. With ``preset``, the defaults are those of
+        `adjusted`. ExperimentError, which names the file `path` and the line, if a setting is not valid.
         """
         values: dict[str, Any] = dict(data)
         preset = values.pop("preset", "floating")

@@ -99,12 +99,10 @@ def measure(
 
     Notes
     -----
-    With a given model, the values of a step do not depend on the chunk, to the bit. A step uses six frames: z
-    at mid-time is interpolated from six surfaces, in coordinates that move with the mean flow
-    (`z_at_mid_time`), and velocities follow from paths through four or six frames (`read_path`). If
-    neighbouring frames are missing, ``quality`` has a bit for it. z_t is the rise of the surface along the
-    path less u . grad z. The kinematic residual z_t - w + u . grad z is therefore the difference between the
-    rise from the surfaces and that from the displacements, whatever the current.
+    With a given model, the values of a step do not depend on the chunk, to the bit. If neighbouring frames
+    are missing, ``quality`` has a bit for it. z_t is the rise of the surface along the path less u . grad z.
+    The kinematic residual z_t - w + u . grad z is therefore the difference between the rise from the surfaces
+    and that from the displacements, whatever the current.
     """
     lengths = {len(frames[n]) for n in geometry.cameras if n in frames}
     if len(lengths) != 1 or min(lengths) < 2 * AROUND + 2:

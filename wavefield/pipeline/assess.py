@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from wavefield.errors import WavefieldError
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.process import one_opencv_thread
-from wavefield.measurement import diagnose
-from wavefield.measurement.diagnostics import Diagnosis, joined, rms_within
+from wavefield.measurement.diagnostics import Diagnosis, diagnose, joined, rms_within
 from wavefield.measurement.error_budget import fast_waves, ripples
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.learning import both_frames, learn_record, samples

@@ -275,7 +275,8 @@ class _Learner:
     known: "Known | None" = None  # The geometry, and the model or None if nothing could be learned
 
     def __call__(self, pairs: Sequence[Mapping[str, Any]]) -> "Known":
-        from wavefield.measurement import LearnedRecord, Model
+        from wavefield.measurement import Model
+        from wavefield.measurement.model import LearnedRecord
         from wavefield.measurement.search_range import search_widened
 
         if self.known is None:

@@ -12,7 +12,8 @@ from wavefield.quality.cameras import PatchMatcher, compare
 from wavefield.sampling import evenly_spaced
 
 if TYPE_CHECKING:
-    from wavefield.measurement import GridGeometry, LearnedRecord
+    from wavefield.measurement import GridGeometry
+    from wavefield.measurement.model import LearnedRecord
 
 _TRIES = 3  # sets of sample steps that are tried if frames are missing or bad
 _SEARCHED_STEPS = 64  # steps in which waves are looked for

@@ -34,7 +34,8 @@ from wavefield.store.recipe import Recipe
 from wavefield.variables import CUBE_FIELDS, TABLE
 
 if TYPE_CHECKING:
-    from wavefield.measurement import GridGeometry, LearnedRecord, Model, Settings
+    from wavefield.measurement import GridGeometry, Model, Settings
+    from wavefield.measurement.model import LearnedRecord
 
 _CAMERA_DISTANCES = (0.02, 200.0)  # m from the water: from a macro lens to a platform at sea
 _MIN_BLOCKS = 21  # interrogation blocks along the longer side of the field, for a spectrum
@@ -172,7 +173,8 @@ class PreparedRun:
     def with_prior(self, record: Mapping[str, object]) -> "PreparedRun":
         """Return the same run with an estimator that uses ``record``, the result of `learn_record`.
         An empty record leaves the estimator as it is."""
-        from wavefield.measurement import LearnedRecord, Model
+        from wavefield.measurement import Model
+        from wavefield.measurement.model import LearnedRecord
 
         model = Model(self.geometry, LearnedRecord.from_dict(record)) if record else self.model
         return replace(self, model=model, recipe=replace(self.recipe, record=record))

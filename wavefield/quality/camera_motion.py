@@ -33,7 +33,8 @@ from wavefield.robust import robust_std
 from wavefield.store.verdict import Remark
 
 if TYPE_CHECKING:
-    from wavefield.measurement import GridGeometry, LearnedRecord
+    from wavefield.measurement import GridGeometry
+    from wavefield.measurement.model import LearnedRecord
     from wavefield.rig import Camera
 
 BIAS = 0.05  # relative error of a delay, because velocities are averaged over two steps (see above)
