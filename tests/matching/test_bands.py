@@ -3,10 +3,9 @@
 import numpy as np
 import scipy.fft
 
-from wavefield.matching.learned_spectrum import refined_prior
 from wavefield.matching.map_field import Modes
 from wavefield.matching.map_variance import PosteriorVariance
-from wavefield.matching.spectrum import FIRST_SIGNAL_TO_NOISE, Prior, footprint
+from wavefield.matching.spectrum import FIRST_SIGNAL_TO_NOISE, Prior, footprint, refined_prior
 
 SHAPE = (60, 66)
 BLOCK = 9e-3  # metres: blocks of 5 px of 1.8 mm
@@ -57,7 +56,7 @@ def learned(blocks, thought=3.0):
         prior = prior.with_min_signal_to_noise(ratio)
         modes = Modes(prior, SHAPE)
         waves = most_probable(modes, blocks)
-        prior = refined_prior(prior, modes, waves, 1 / NOISE**2)
+        prior = refined_prior(prior, SHAPE, waves, 1 / NOISE**2)
     return prior
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from wavefield.matching import Prior
 from wavefield.matching.map_field import Modes, cosines
 from wavefield.matching.map_variance import PosteriorVariance
+from wavefield.matching.spectrum import Prior
 
 K = tuple(np.linspace(0.04, 3.1, 40))
 

@@ -7,10 +7,10 @@ import pytest
 
 from tests.matching.matching_cases import particle_pair
 from wavefield import matching
-from wavefield.matching import MatchSettings, Prior
+from wavefield.matching import MatchSettings
 from wavefield.matching.kernels import BLOCK
 from wavefield.matching.map_field import Modes
-from wavefield.matching.spectrum import displacement_area
+from wavefield.matching.spectrum import Prior, displacement_area
 from wavefield.measurement.displacement import map_displacement
 
 SIZE = 260  # px

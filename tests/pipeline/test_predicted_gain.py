@@ -3,7 +3,7 @@ import xarray as xr
 
 import wavefield as wf
 from wavefield.grid import Grid
-from wavefield.matching import Prior
+from wavefield.matching.spectrum import Prior
 from wavefield.measurement import GridGeometry, Settings
 from wavefield.measurement.model import LearnedRecord, tabulated
 from wavefield.tank import Scene

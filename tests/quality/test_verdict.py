@@ -9,7 +9,7 @@ import pytest
 
 from wavefield.commands.cli import main
 from wavefield.images import read_image, write_image
-from wavefield.matching import Prior
+from wavefield.matching.spectrum import Prior
 from wavefield.measurement.error_budget import fast_waves
 from wavefield.quality.remarks import (
     remark_on_cameras_left_out,

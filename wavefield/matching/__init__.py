@@ -1,7 +1,7 @@
 """Displacement from image a to image b on a lattice of blocks, from arrays alone.
 
 `prepare` two images, then `match` them. The measurement evaluates the blocks again at a better displacement
-(pyramid.py), weighs them against a learned spectrum (spectrum.py, learned_spectrum.py, map_field.py) and
+(pyramid.py), weighs them against a learned spectrum (spectrum.py, map_field.py) and
 computes the variance of the result (blocks.py, map_variance.py). Loops over pixels are in kernels.py, loops
 over blocks in blocks.py.
 

@@ -2,6 +2,5 @@
 from wavefield.matching.prepared import PreparedImage, prepare
 from wavefield.matching.pyramid import match
 from wavefield.matching.settings import Displacement, MatchSettings, Reason
-from wavefield.matching.spectrum import Prior
 
-__all__ = ["Displacement", "MatchSettings", "PreparedImage", "Prior", "Reason", "match", "prepare"]
+__all__ = ["Displacement", "MatchSettings", "PreparedImage", "Reason", "match", "prepare"]

@@ -51,9 +51,9 @@ class Modes:
     """The cosine modes of a MAP field (the most probable field) on a lattice (ny, nx), and the solver for it.
 
     Modes beyond the last one with a signal-to-noise ratio above 0.02 are left out. `requested` (ny, nx) is
-    True where holes count in the choice of the solver's tolerance; None: everywhere. `kx` (mx,) and `ky` (my,
-    1) are wavenumbers, rad per block; `foot` (my, mx) is the gain F of averaging over a block, `inverse` (c,
-    my, mx) is 1/S, and `freedom` the fraction of the variance of scores that a fit leaves.
+    True where holes count in the choice of the solver's tolerance; None: everywhere. `foot` (my, mx) is the
+    gain F of averaging over a block, `inverse` (c, my, mx) is 1/S, and `freedom` the fraction of the variance
+    of scores that a fit leaves.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
@@ -71,7 +71,6 @@ class Modes:
             for n, i in zip(shape, (rows, columns), strict=True)
         )
         band = np.s_[..., :my, :mx]
-        self.kx, self.ky = kx[:mx], ky[:my]
         self.foot = np.ascontiguousarray(foot[band], np.float32)
         self.inverse = np.ascontiguousarray(1.0 / spectrum[band], np.float32)
         self._cosines = Cosines(shape, (my, mx))

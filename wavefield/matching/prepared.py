@@ -156,13 +156,6 @@ def prepare(
     ------
     FrameError
         If the image is not a grey image of at least 20 x 20 px, or the mask has another shape.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> image = np.random.default_rng(0).integers(0, 255, (120, 160), dtype=np.uint8)
-    >>> prepare(image, MatchSettings.piv()).shape
-    (120, 160)
     """
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < 4 * BLOCK:

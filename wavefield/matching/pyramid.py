@@ -83,10 +83,9 @@ def match(
     Notes
     -----
     The method is local least squares (Lucas-Kanade), iterated from coarse to fine: Champagnat et al. (2011),
-    Exp. Fluids 50, 1169. For every block, gx gx, gx gy, gy gy, gx r and gy r are summed, with r the residual
-    between a and b, sampled at the displacement by quintic B-splines. A Gaussian window averages these sums
-    over the lattice. One 2 x 2 system per block gives the step. Outliers are replaced by the median of
-    5 x 5 neighbours, and the field is smoothed by 1 - (1 - G)^4.
+    Exp. Fluids 50, 1169. Image b is sampled at the displacement by quintic B-splines, and sums over blocks
+    are averaged by a Gaussian window. In each step, outliers are replaced by the median of 5 x 5 blocks, and
+    the field is smoothed by 1 - (1 - G)^4.
 
     Examples
     --------
@@ -98,16 +97,25 @@ def match(
     (3.0, 2.0)
     """
     settings = MatchSettings.piv() if settings is None else settings
-    a, b = _prepared_pair(a, b, settings)
+    a, b = _prepared(a, settings), _prepared(b, settings)
+    if a.shape != b.shape:
+        raise FrameError(f"the images to match differ in size: {a.shape} and {b.shape}")
     u, v = _coarse(a, b, settings)
     finest = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
     return _finest(finest, u, v, settings.iterations[-1])
 
 
 def _coarse(a: PreparedImage, b: PreparedImage, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Return u and v (ny, nx), px, on the finest lattice, as found on the coarser levels alone."""
+    """Return u and v (ny, nx), px, on the finest lattice, as found on the coarser levels alone.
+    The coarsest level starts from a search over the ranges of the settings, or from 0 without ranges."""
     top = min(len(a.levels), settings.levels) - 1
-    u, v = _start(a.levels[top], b.levels[top], top, settings)
+    u = v = np.zeros(a.levels[top].blocks, np.float32)
+    if settings.search_x is not None and settings.search_y is not None:
+        x_range, y_range = (
+            (int(np.floor(low / 2**top)), int(np.ceil(high / 2**top)))
+            for low, high in (settings.search_x, settings.search_y)
+        )
+        u, v = _search(a.levels[top], b.levels[top], x_range, y_range, settings)
     for number in range(top, 0, -1):
         pair = _LevelPair(a.levels[number], b.levels[number], settings.coarse_smoother_sigma, settings)
         u, v = _plain_steps(pair, u, v, settings.iterations[settings.levels - 1 - number])
@@ -115,44 +123,18 @@ def _coarse(a: PreparedImage, b: PreparedImage, settings: MatchSettings) -> tupl
     return u, v
 
 
-def _prepared_pair(
-    a: np.ndarray | PreparedImage, b: np.ndarray | PreparedImage, settings: MatchSettings
-) -> tuple[PreparedImage, PreparedImage]:
-    """Prepare either image that is not prepared yet, and return both; FrameError if their sizes differ."""
-    a, b = _prepared(a, settings), _prepared(b, settings)
-    if a.shape != b.shape:
-        raise FrameError(f"the images to match differ in size: {a.shape} and {b.shape}")
-    return a, b
-
-
 def _prepared(image: np.ndarray | PreparedImage, settings: MatchSettings) -> PreparedImage:
     """Return an image prepared for these settings; ValueError if it was prepared for others."""
     if not isinstance(image, PreparedImage):
         return prepare(image, settings)
-    if image.normalization != settings.normalization:
+    levels = level_count(image.shape, settings.levels)
+    if image.normalization != settings.normalization or len(image.levels) < levels:
         raise ValueError(
-            f"the image was prepared with normalization {image.normalization} px but the settings need "
-            f"{settings.normalization}: prepare it with the settings of the match"
-        )
-    if len(image.levels) < level_count(image.shape, settings.levels):
-        raise ValueError(
-            f"the image was prepared with {len(image.levels)} levels but the settings need "
-            f"{settings.levels}: prepare it with the settings of the match"
+            f"the image was prepared with normalization {image.normalization} px and {len(image.levels)} "
+            f"levels but the settings need {settings.normalization} px and {levels}: prepare it with the "
+            "settings of the match"
         )
     return image
-
-
-def _start(a: Level, b: Level, levels: int, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Return u and v (ny, nx), px, to start from on the coarsest level; `levels` is its number (0: finest).
-    They come from a search over the ranges of the settings, or are zero without ranges."""
-    if settings.search_x is None or settings.search_y is None:
-        return np.zeros(a.blocks, np.float32), np.zeros(a.blocks, np.float32)
-    factor = 2**levels
-    x_range, y_range = (
-        (int(np.floor(lo / factor)), int(np.ceil(hi / factor)))
-        for lo, hi in (settings.search_x, settings.search_y)
-    )
-    return _search(a, b, x_range, y_range, settings)
 
 
 class _LevelPair:

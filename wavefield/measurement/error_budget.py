@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.matching import Prior
 from wavefield.matching.kernels import BLOCK
+from wavefield.matching.spectrum import Prior
 from wavefield.measurement.displacement import FlowEstimate
 from wavefield.measurement.geometry import WAVE_VARIANCES, GridGeometry
 from wavefield.measurement.midtime import StepEstimate

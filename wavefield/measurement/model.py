@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError
-from wavefield.matching import Prior
 from wavefield.matching.kernels import BLOCK
 from wavefield.matching.map_field import Modes
 from wavefield.matching.map_variance import PosteriorVariance
+from wavefield.matching.spectrum import Prior
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.regrid import interpolation_gain, local_coefficients, spline_prefilter
 from wavefield.one_thread import one_thread

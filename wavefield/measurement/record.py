@@ -20,16 +20,18 @@ from scipy.special import gammaincinv
 
 from wavefield import matching
 from wavefield.images import fill_masked
-from wavefield.matching import Prior
 from wavefield.matching.blocks import noise_of_scores
 from wavefield.matching.kernels import BLOCK
-from wavefield.matching.learned_spectrum import first_prior, refined_prior, shrinkage
 from wavefield.matching.map_field import Modes, edge_field
 from wavefield.matching.spectrum import (
     FIRST_SIGNAL_TO_NOISE,
     FOOTPRINT_VARIANCE,
     OPEN_SIGNAL_TO_NOISE,
+    Prior,
     displacement_area,
+    first_prior,
+    refined_prior,
+    shrinkage,
 )
 from wavefield.measurement import elevation
 from wavefield.measurement.displacement import (
@@ -338,7 +340,7 @@ def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: 
     waves, information = zip(*pool.map(lambda one: one.estimate(modes), samples))
     noise = pool.map(lambda one: one.noise(modes), [one for one in samples if one.noise])
     alone = [(field, own) for field, own in noise if own > 0]
-    return refined_prior(prior, modes, waves, float(np.mean(information)), alone)
+    return refined_prior(prior, modes.lattice, waves, float(np.mean(information)), alone)
 
 
 def _elevation_prior(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> tuple[Prior, float]:
