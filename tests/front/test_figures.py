@@ -135,7 +135,7 @@ def waves(cube):
     [
         ("komega_map", ["spectra", "dispersion"], ["ω / 2π (Hz)", "linear dispersion relation"]),
         ("wavevector_map", ["spectra", "dispersion"], ["kx / 2π (m⁻¹)", "Hz"]),
-        ("wavenumber_spectra", ["spectra"], ["E(k) (m³ s⁻² rad⁻¹)", "u·∇z"]),
+        ("wavenumber_spectra", ["spectra"], ["E(k) (m³ s⁻² rad⁻¹)", "(u − U)·∇z"]),
         ("elevation_spectra", ["spectra"], ["E$^z$(ω) (m² s rad⁻¹)", "stereo z", "integrated w", "fusion"]),
         ("directions", ["direction"], ["direction of travel (degrees from x)"]),
         ("coherence_curves", ["coherence"], ["z_t with w − u·∇z", "chance (5 %)"]),

@@ -127,7 +127,7 @@ def nonlinear_ratio_curves(ratio: xr.Dataset) -> Figure:
         ax.fill_between(x, low * middle, high * middle, color=LINES[1]["color"], alpha=0.25, linewidth=0)
         ax.plot(x, middle, **LINES[1])
         top = max(top, float(np.nanpercentile(middle, 95)))
-        finish(ax, label, "u·∇z over w, amplitude (1)")
+        finish(ax, label, "(u − U)·∇z over w, amplitude (1)")
     for ax in axes[0]:
         ax.set_ylim(0, 1.3 * top or 1.0)
     return figure

@@ -178,7 +178,7 @@ def wavenumber_spectra(spectra: xr.Dataset) -> Figure:
     Figure
     """
     figure, axes = panels(2)
-    labels = {"z_t": "z_t", "u": "u", "v": "v", "w": "w", "nl": "u·∇z"}
+    labels = {"z_t": "z_t", "u": "u", "v": "v", "w": "w", "nl": "(u − U)·∇z"}
     for ax, x, name, xlabel, ylabel in (
         (axes[0, 0], cycles(spectra), "E_k", CYCLES, "E(k) (m³ s⁻² rad⁻¹)"),
         (axes[0, 1], hertz(spectra), "E_omega", HERTZ, "E(ω) (m² s⁻¹ rad⁻¹)"),
