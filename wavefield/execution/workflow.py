@@ -105,18 +105,7 @@ class Workflow(ConfigSection):
 
     @classmethod
     def load(cls, path: str | Path) -> "Workflow":
-        """Read a workflow file.
-
-        Parameters
-        ----------
-        path : path
-            The YAML file.
-
-        Raises
-        ------
-        ExperimentError
-            If it is missing or wrong; the message names the line and the remedy.
-        """
+        """Read a workflow file; ExperimentError, with the line and the remedy, if it is missing or wrong."""
         out = load(cls, Path(path))
         out._path = Path(path)
         return out

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wavefield.atomic_write import Product, check_writable, identity_of
+from wavefield.atomic_write import Product, check_writable
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.images import read_image, write_image
 from wavefield.sampling import evenly_spaced
@@ -39,12 +39,11 @@ def read_backgrounds(
     experiment: Path,
 ) -> dict[str, Image]:
     """Return the background images, (row, column), by camera; cameras without one are left out.
-    `named` is the value of the key ``background``: a file name with ``{camera}``, or file names by camera.
-    `resolve` turns a file name into a path. ExperimentError, which names the experiment file `experiment`, if
-    an image cannot be read."""
-    files = {name: named if isinstance(named, str) else (named or {}).get(name) for name in cameras}
+    `named` is the key ``background`` of the file `experiment`, and `resolve` turns a name in it into a path.
+    ExperimentError if an image cannot be read."""
     out = {}
-    for name, file in files.items():
+    for name in cameras:
+        file = named if isinstance(named, str) else (named or {}).get(name)
         if file is None:
             continue
         try:
@@ -76,8 +75,7 @@ def with_backgrounds(
     experiment: Path,
 ) -> dict[str, FrameSeries]:
     """Return the frames of each camera such that reading one subtracts the camera's background from it.
-    The arguments are those of `read_backgrounds`. ExperimentError if a background cannot be read, or differs
-    from the frames in shape or type."""
+    The arguments are those of `read_backgrounds`."""
     images = read_backgrounds(named, series, resolve, experiment)
     for name, image in images.items():
         refuse_other_images(image, name, series[name].shape, series[name].dtype, experiment)
@@ -95,12 +93,12 @@ def checksums(series: Mapping[str, FrameSeries]) -> dict[str, str]:
 
 
 def write_backgrounds(
-    series: Mapping[str, FrameSeries], folder: Path, frames: int, source: str = ""
+    series: Mapping[str, FrameSeries], folder: Path, frames: int, source: str
 ) -> list[Path]:
     """Write the mean of `frames` frames of each camera to `folder`/CAMERA.tif, and return these paths.
     `source` identifies the experiment (`identity_of`). An existing file is replaced only if it is an
     unchanged background of the same experiment; otherwise StoreError is raised."""
-    product = Product("background", source or identity_of())
+    product = Product("background", source)
     files = {name: folder / f"{name}.tif" for name in series}
     for file in files.values():
         check_writable(file, product)

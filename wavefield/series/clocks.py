@@ -25,10 +25,9 @@ DEPARTURE_STEP = 1e-4  # intervals: delays are rounded to this, which changes ve
 
 
 def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times | None:
-    """Return the times of a camera's images, (n,), s, that its recordings in `folder` state.
-    None if times are missing or do not increase, or if there are several videos. The playback times of one
-    video are scaled so that the usual interval between frames is that of `frame_rate`, Hz. ExperimentError if
-    the time stamps of recordings that are not videos contradict `frame_rate`."""
+    """Return the times of a camera's images, (n,), s, in its recordings; None if they do not increase.
+    The playback times of a video are scaled to `frame_rate`, Hz, and are not used if there are several
+    videos. ExperimentError if the time stamps of other recordings contradict `frame_rate`."""
     parts, paths, header = [], recordings_of(images, camera, folder), ""
     for path in paths:
         try:
@@ -48,10 +47,8 @@ def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> T
 
 def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     """Raise ExperimentError if increasing time stamps, (n,), s, contradict a frame rate, Hz.
-    The mean interval between time stamps, without intervals across dropped frames, may differ from the frame
-    interval by 1 %, or by the uncertainty of this mean if that is larger: the range of the intervals over
-    their number. The message begins with `words`, in which ``{rate:g}`` is replaced by the rate of the time
-    stamps."""
+    Their mean interval, without dropped frames, may differ by 1 % or by the range of the intervals over their
+    number. The message begins with `words`, in which ``{rate:g}`` becomes the rate of the time stamps."""
     usual = usual_intervals(times)
     if not len(usual):
         return
@@ -93,9 +90,8 @@ def place_by_time(
     numbered: Numbered, times: Times, start: float, frame_rate: float, path: Path, camera: str
 ) -> Numbered:
     """Return a camera's frames renumbered from their time stamps, so that dropped frames leave gaps.
-    `numbered` maps the previous frame numbers to the frames, and `times` (n,) are their time stamps, s, in
-    the order of these numbers. A frame at the time `start`, s, gets number 0. ExperimentError if there is not
-    one time stamp per frame, or if the time stamps do not fit `frame_rate`, Hz."""
+    `times` (n,), s, are in the order of the numbers before; a frame at `start`, s, gets number 0.
+    ExperimentError if there is not one time per frame, or if the times do not fit `frame_rate`, Hz."""
     if len(times) != len(numbered):
         raise ExperimentError(
             f"{path} holds {len(times)} times, but {camera} has {len(numbered)} images; every image needs one"
@@ -113,10 +109,9 @@ def place_by_time(
 
 
 def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
-    """Return a camera's frames renumbered from their times, (n,), s, so that dropped frames leave gaps.
-    The first frame keeps its number. Each further number exceeds the one before by the interval between the
-    two frames over the usual interval, rounded. All frames keep their numbers if an interval is not near a
-    multiple of the usual one, or if the new numbers span over 100 times the frames."""
+    """Return a camera's frames renumbered by the intervals between their times, (n,), s, from the first on.
+    All frames keep their numbers if an interval is not near a multiple of the usual one, or if the new
+    numbers span over 100 times the frames."""
     passed = np.diff(times) / usual_interval(times)
     steps = np.rint(passed)
     if np.abs(passed - steps).max() > MAX_OFFSET or steps.min() < 1:
@@ -129,10 +124,9 @@ def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
 
 
 def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
-    """Return the delay of each frame relative to evenly spaced times, (n,), in frame intervals.
-    It is the mean over the cameras' clocks, after the offset and the rate of each clock are removed. Since
-    cameras are triggered together, differences between their clocks are noise of the time stamps; the mean is
-    scaled down by the estimated share of this noise. None if no camera has times, or if all delays are 0."""
+    """Return the delay of each frame relative to evenly spaced times, (n,), in frame intervals; None if all
+    are 0. It is the mean over the cameras' clocks. As cameras are triggered together, differences between
+    clocks are noise of the time stamps, and the mean is scaled down by the share of this noise."""
     each = [
         found
         for one in series.values()
@@ -153,11 +147,9 @@ def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
 
 
 def departures_by_clock(times: Times) -> Times | None:
-    """Return the delay of each frame relative to evenly spaced times, (n,), in frame intervals, by one clock.
-    `times` (n,), s, are NaN for frames without a time, and so are the delays of these frames. A delay is the
-    distance of a time from the regression line of time on frame number; all delays are 0 if none exceeds the
-    resolution of the times. None if there are fewer than three times, or if a delay exceeds a quarter of a
-    frame interval."""
+    """Return the distances of times (n,), s, from their regression line on frame number, in frame intervals.
+    They are NaN where a time is, and 0 if none exceeds the resolution of the times. None if there are fewer
+    than three times, or if a distance exceeds a quarter of a frame interval."""
     there = np.flatnonzero(np.isfinite(times))
     if len(there) < 3:
         return None
@@ -190,10 +182,9 @@ class Stated(NamedTuple):
 
 
 def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[str, Stated]:
-    """Return the frame rate, kind and rotation of the first recording of each camera, by camera name.
-    `cameras` is the block ``cameras`` of the experiment file as plain data, and paths in it are relative to
-    `folder`. Only the first recording of a camera is opened. Cameras without recordings are left out, and so
-    are those whose first recording cannot be read."""
+    """Return the frame rate, kind and rotation of the first recording of each camera that has a readable one.
+    `cameras` is the block ``cameras`` of the experiment file as plain data, with paths relative to
+    `folder`."""
     found = {}
     for name, camera in cameras.items():
         images = camera.get("images") if isinstance(camera, Mapping) else camera
@@ -214,9 +205,7 @@ def is_video(path: Path) -> bool:
 
 
 def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
-    """Return the paths of a camera's recordings, in order; empty if one of its files is not a recording.
-    `images` is the camera's entry in the experiment file, with paths relative to `folder`. Only the endings
-    of the names are looked at, so the files need not exist."""
+    """Return the paths of a camera's recordings; empty if one of its `images` is not one, by its ending."""
     names = images if isinstance(images, list) else [images]
     paths = [folder / name.replace("{camera}", camera) for name in names if isinstance(name, str)]
     return paths if len(paths) == len(names) and all(map(recording_path, paths)) else []

@@ -1,6 +1,7 @@
 """The experiment file: one YAML file with cameras, images, rig, grid, water and settings."""
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
@@ -128,9 +129,9 @@ class Experiment(RecordSection):
                     raise ValueError(f"surface.pairs names {name!r}, but the cameras are {cameras}")
             if a == b:
                 raise ValueError(f"surface.pairs pairs {a!r} with itself")
-        for name in self.velocity.cameras if self.velocity else ():
-            if name not in self.cameras:
-                raise ValueError(f"velocity.cameras names {name!r}, but the cameras are {cameras}")
+        unknown = set(self.velocity.cameras if self.velocity else ()) - set(self.cameras)
+        if unknown:
+            raise ValueError(f"velocity.cameras names {min(unknown)!r}, but the cameras are {cameras}")
         if any(shape.image for shape in self.mask.get(masks.WATER, ())):
             raise ValueError("mask: an image belongs to a camera; on the water give a polygon")
         first, last = self.frames.first, self.frames.last
@@ -140,21 +141,9 @@ class Experiment(RecordSection):
 
     @classmethod
     def load(cls, path: str | Path, folder: str | Path | None = None) -> "Experiment":
-        """Read and check an experiment file.
-
-        Parameters
-        ----------
-        path : path
-            The file.
-        folder : path, optional
-            Folder of the images, in place of ``folder`` in the file.
-
-        Raises
-        ------
-        ExperimentError
-            If the file is missing or wrong, or recordings have different frame rates; the message names the
-            line and the remedy.
-        """
+        """Read and check an experiment file; `folder`, if given, replaces the folder of the images in it.
+        ExperimentError if the file is missing or wrong, or if recordings have different frame rates; the
+        message names the line and the remedy."""
         path = Path(str(path).removeprefix("file://")).absolute()
         path = path.resolve() if path.is_symlink() else path  # files are named relative to the file itself
         data = read_yaml(path)
@@ -202,20 +191,10 @@ class Experiment(RecordSection):
         return self.model_copy(update={"name": f"{self.name}, at rest", **changed})
 
     def open_frames(self) -> dict[str, FrameSeries]:
-        """Find the frames of every camera; only one frame of each is read.
-
-        Returns
-        -------
-        dict of str to FrameSeries
-            One series per camera, all over the same range of frame numbers. Missing files leave gaps, and so
-            do images that a camera dropped, by its time stamps (key ``times``, or those in the recording).
-
-        Raises
-        ------
-        ExperimentError
-            If images are missing or cannot be numbered, or if the cameras' ranges of frame numbers have fewer
-            than two numbers in common.
-        """
+        """Find the frames of every camera, over the range of frame numbers that the measuring cameras share.
+        Only one frame of each is read. Missing files leave gaps, and so do images that a camera dropped, by
+        its time stamps (key ``times``, or those in the recording). ExperimentError if images are missing or
+        cannot be numbered, or if the cameras share fewer than two frame numbers."""
         series = open_record(self, self._path, self.image_folder, self.measuring_cameras)
         return with_backgrounds(series, self.background, self.resolve, self._path)
 
@@ -240,21 +219,10 @@ class Experiment(RecordSection):
         self, path: str | Path | None = None, series: Mapping[str, FrameSeries] | None = None
     ) -> Rig:
         """Load the rig, in any format of `wavefield.rig.formats`, with z = 0 on the still water.
-
-        Parameters
-        ----------
-        path : path, optional
-            Rig file, in place of the one that the experiment names.
-        series : mapping of str to FrameSeries, optional
-            The frames of each camera. Their size must agree with the size in a rig file of wavefield; with a
-            file of another program it is used instead of the size in the file.
-
-        Raises
-        ------
-        RigError
-            If there is no rig, or the rig lacks a measuring camera, was made for images of another size, or
-            has two cameras at the same position.
-        """
+        `path` is a rig file in place of the one that the experiment names. The size of the frames in `series`
+        must be that in a rig file of wavefield, and replaces the size in a file of another program. RigError
+        if there is no rig, or the rig lacks a measuring camera, was made for images of another size, or has
+        two cameras at the same position."""
         source: Path | dict[str, Path] = self.rig_paths[0] if path is None else Path(path)
         if path is None and isinstance(self.rig, dict):
             source = {name: self.resolve(file) for name, file in self.rig.items()}
@@ -276,22 +244,9 @@ class Experiment(RecordSection):
 
     def choose_grid(self, rig: Rig, settings: Mapping[str, object] | None = None) -> Grid:
         """Return the grid of the experiment file, or else the largest that all measuring cameras see.
-
-        Parameters
-        ----------
-        rig : Rig
-            The calibrated cameras.
-        settings : mapping, optional
-            Settings of the measurement; by default those of the experiment file. An automatic grid stays in
-            view at all elevations within ``z_range``, or else within plus and minus half of
-            ``sheet_thickness``. Without these settings the limits are plus and minus 1 % of the distance of
-            the nearest camera.
-
-        Raises
-        ------
-        RigError
-            If the grid is ``auto`` and the cameras have no common field of view.
-        """
+        An automatic grid stays in view at all elevations within ``z_range``, or else half of
+        ``sheet_thickness`` up and down, of the measurement's `settings` (by default those of the experiment
+        file), or else 1 % of the distance of the nearest camera. RigError if the cameras share no view."""
         section = self.grid
         if isinstance(section, GridSection) and section.x is not None and section.y is not None:
             return Grid(section.x, section.y, section.step)
@@ -332,11 +287,10 @@ def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
     """Raise RigError if two of the cameras `names` are at the same position; `source` is the rig file."""
     if rig.lenses_alone:
         return
-    for k, one in enumerate(names):
-        for other in names[k + 1 :]:
-            apart = float(np.linalg.norm(rig[one].centre - rig[other].centre))
-            if apart < SAME_PLACE * float(np.linalg.norm(rig[one].centre)):
-                raise RigError(f"{source}: {one} and {other} are in one place; is one entry a copy?")
+    for one, other in combinations(names, 2):
+        apart = float(np.linalg.norm(rig[one].centre - rig[other].centre))
+        if apart < SAME_PLACE * float(np.linalg.norm(rig[one].centre)):
+            raise RigError(f"{source}: {one} and {other} are in one place; is one entry a copy?")
 
 
 def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, float] | None:

@@ -52,8 +52,7 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
 
 
 def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
-    """Return the kind of a file or store ("file" for one image, "images" for many), and its image count.
-    ExperimentError if the file is missing or damaged, or states over five million images."""
+    """Return `count_images` of a file or store; ExperimentError if it fails or exceeds five million."""
     try:
         kind, count = count_images(path)
     except FrameError as error:
@@ -68,8 +67,7 @@ def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
 
 def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbered:
     """Return the frames of a list of files by frame number; their images are counted through from 0.
-    An entry None, or a file that does not exist, leaves one number without a frame. ExperimentError if none
-    of the files exists."""
+    An entry None, or a file that does not exist, leaves one number without a frame."""
     out: Numbered = {}
     number = 0
     for item in images:
@@ -132,9 +130,8 @@ def make_series(
     numbered: Mapping[str, Numbered], first: int, last: int, clocks: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, FrameSeries]:
     """Return one series per camera, over the frame numbers `first` to `last`, both included.
-    `numbered` has the frames of each camera by number. `clocks` has, by camera, the times (s) of all frames
-    in the order of their numbers; cameras without times are absent. One frame of each camera is read, to
-    learn the shape and type of the images."""
+    `clocks` has, by camera, the times (s) of all its frames in `numbered`; cameras without times are absent.
+    One frame of each camera is read, to learn the shape and type of the images."""
     out = {}
     for camera, frames in numbered.items():
         entries = [frames.get(number) for number in range(first, last + 1)]

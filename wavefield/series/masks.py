@@ -65,9 +65,8 @@ def covered_series(
     folder: Path,
 ) -> dict[str, FrameSeries]:
     """Return the frames of each camera, masked by the camera's own masks and by the masks on the water.
-    `masks` is the block ``mask`` of the experiment file, `folder` the folder of the mask images. The `rig`
-    projects masks on the water into the images. ExperimentError if a mask image is bad, or if masks cover a
-    whole image."""
+    `masks` is the block ``mask`` of the experiment file, with images in `folder`. ExperimentError if a mask
+    image is bad, or if masks cover a whole image."""
     out = {}
     for name, frames in series.items():
         own, on_water = masks.get(name, ()), masks.get(WATER, ())
@@ -111,8 +110,7 @@ def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
 
 def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, list[dict[str, object]]]:
     """Return the masks of each camera, and of ``water``, as plain data for the recipe of a cube.
-    The recipe is the record of all inputs; so the data of a mask image include a checksum, ``content``, of
-    the file."""
+    The data of a mask image include a checksum of the file, ``content``."""
     out: dict[str, list[dict[str, object]]] = {}
     for name, shapes in masks.items():
         out[name] = [shape.model_dump(exclude_none=True, mode="json") for shape in shapes]

@@ -3,7 +3,7 @@
 import os
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,9 +45,13 @@ class NumberedImages:
     numbers: tuple[int, ...]  # The numbers, in order
 
 
-def files_below(folder: Path) -> Iterator[Path]:
-    """Yield the files below a folder; links to folders are followed, Zarr stores are skipped."""
+def image_paths(folder: Path) -> list[str]:
+    """Return the sorted paths, relative to a folder, of all images below it, but not those in Zarr stores.
+    Links to folders are followed. ExperimentError if the folder does not exist."""
+    if not folder.is_dir():
+        raise ExperimentError(f"{folder} is not a folder; name the one that contains the images")
     entered: set[str] = set()
+    found: list[Path] = []
     for here, folders, names in os.walk(folder, followlinks=True):
         entered.add(os.path.realpath(here))
         folders[:] = [
@@ -55,24 +59,14 @@ def files_below(folder: Path) -> Iterator[Path]:
             for name in sorted(folders)
             if not name.endswith(".zarr") and os.path.realpath(os.path.join(here, name)) not in entered
         ]
-        yield from (path for name in names if (path := Path(here, name)).is_file())
-
-
-def image_paths(folder: Path) -> list[str]:
-    """Return the sorted paths, relative to a folder, of all images below it.
-    ExperimentError if the folder does not exist."""
-    if not folder.is_dir():
-        raise ExperimentError(f"{folder} is not a folder; name the one that contains the images")
-    return sorted(
-        path.relative_to(folder).as_posix() for path in files_below(folder) if path.suffix.lower() in ENDINGS
-    )
+        found += [Path(here, name) for name in names if Path(name).suffix.lower() in ENDINGS]
+    return sorted(path.relative_to(folder).as_posix() for path in found if path.is_file())
 
 
 def find_series(paths: Sequence[str]) -> list[NumberedImages]:
     """Return the series of numbered images among `paths`, sorted by the patterns of their names.
-    Names that differ only in digits are compared. The frame number is the group of digits that has the most
-    different values. If no two names share a frame number, other groups that vary (such as a time) become
-    ``*`` in the pattern. Otherwise each combination of the other groups is a series of its own."""
+    Of names that differ only in digits, the frame number is the group of digits with the most values. Other
+    groups that vary become ``*`` if no two names share a frame number, and else make series of their own."""
     alike: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for path in paths:
         folder, _, name = path.rpartition("/")

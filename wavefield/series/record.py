@@ -7,12 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.errors import ExperimentError
-from wavefield.series.clocks import (
-    own_times,
-    place_by_intervals,
-    place_by_time,
-    read_time_stamps,
-)
+from wavefield.series.clocks import own_times, place_by_intervals, place_by_time, read_time_stamps
 from wavefield.series.experiment_parts import RecordSection
 from wavefield.series.frames import FrameSeries
 from wavefield.series.listing import (
@@ -30,9 +25,8 @@ def open_record(
     record: RecordSection, path: Path, folder: Path, measuring: Sequence[str]
 ) -> dict[str, FrameSeries]:
     """Return the frames of every camera, over the frame numbers that the cameras in `measuring` all span.
-    The key ``frames`` of the experiment file, `path`, replaces this range. `folder` is the folder of the
-    images. ExperimentError if images are missing or cannot be numbered, or if the range has fewer than two
-    numbers."""
+    The key ``frames`` of the experiment file, `path`, replaces this range. ExperimentError if images in
+    `folder` are missing or cannot be numbered, or if the range has fewer than two numbers."""
     numbered = {name: number_frames(one.images, folder, name) for name, one in record.cameras.items()}
     numbered, clocks = _place_by_clocks(record, numbered, path, folder)
     for name, section in record.cameras.items():
@@ -74,8 +68,7 @@ def _place_by_clocks(
 ) -> tuple[dict[str, Numbered], dict[str, Times]]:
     """Return the frames of each camera, renumbered from the times of the frames, and these times, s.
     The times are those of the key ``times``, or else those in recordings. A camera without times keeps its
-    frame numbers, and is absent from the second result. ExperimentError if only some cameras have the key
-    ``times``, or if times do not fit the frames."""
+    frame numbers, and is absent from the second result."""
     stamped: dict[str, tuple[Path, Times]] = {}
     for name, section in record.cameras.items():
         if section.times is not None:

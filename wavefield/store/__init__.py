@@ -1,4 +1,9 @@
-"""Stores of cubes and of results made from them, and exports to other formats."""
+"""Stores of cubes and of results made from them, and exports to other formats.
+
+A step is the interval between two consecutive frames. A chunk is a range of steps that one task measures; it
+has one file in every array. The ledger is the pair of arrays ``frame_status`` (status of each step) and
+``frame_fault`` (fault of each frame and camera). The recipe is everything that determines a cube's values.
+"""
 
 from pathlib import Path
 

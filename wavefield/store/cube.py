@@ -1,8 +1,4 @@
-"""Open a cube as a lazy xarray Dataset with the accessor ``cube.wavefield``; read errors name the file.
-
-A step is the interval between two consecutive frames. The recipe is everything that determines the values of
-a cube (`wavefield.store.recipe`).
-"""
+"""Open a cube as a lazy xarray Dataset with the accessor ``cube.wavefield``; read errors name the file."""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -64,8 +60,7 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
     stored = open_stored(path, chunks)
     stored = stored.set_coords([f"gain_{name}" for name in "zuvw" if f"gain_{name}" in stored])
-    order = dict.fromkeys((*CUBE_FIELDS, *stored.data_vars))
-    cube = stored[list(order)].assign_coords(stored.coords)
+    cube = stored[list(dict.fromkeys((*CUBE_FIELDS, *stored.data_vars)))].assign_coords(stored.coords)
     cube = cube.assign_coords(camera=("camera", np.array(stored.attrs["cameras"]), TABLE["camera"].attrs))
     cube.encoding.pop("coordinates", None)
     for name in PACKING:

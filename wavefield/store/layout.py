@@ -1,7 +1,5 @@
 """Create the store of a cube: a Zarr v3 group with all arrays, empty at first and filled chunk by chunk.
 
-A step is the interval between two consecutive frames; a chunk is a range of steps that one task measures. The
-ledger is the pair of arrays ``frame_status`` (status of each step) and ``frame_fault`` (fault of each frame).
 Every stored chunk ends with a checksum by a codec of Zarr, so that any Zarr reader notices damage.
 """
 
@@ -79,15 +77,36 @@ def create_store(
     x: np.ndarray,
     y: np.ndarray,
     layout: StoreLayout,
-    attributes: Mapping[str, object],
+    attributes: Mapping[str, Any],
     once: Mapping[str, np.ndarray | np.floating] | None = None,
 ) -> None:
     """Make an empty cube at `path`, complete or not at all; StoreError if something is already there.
     `x` (nx,) and `y` (ny,) are the positions of the grid's nodes, m. `attributes` are added to those made
-    from the `recipe`, the record of all inputs. `once` has, by name, the values of variables that are known
-    before the run, such as ``gain_z``."""
+    from the `recipe`. `once` has the values of variables known before the run, such as ``gain_z``."""
+    frames = layout.first_frame + np.arange(layout.steps + 1)
+    axes: dict[str, Any] = {
+        "time": (frames[:-1] + 0.5) / recipe.frame_rate,
+        "y": y,
+        "x": x,
+        "frame": frames,
+        "path_frames": np.uint8(recipe.record.get("path_frames", 4)),
+    }
+    own: dict[str, Any] = {
+        "Conventions": "CF-1.11",
+        "title": title(recipe.experiment),
+        "experiment": recipe.experiment,
+        "frame_rate": recipe.frame_rate,
+        "cameras": list(layout.cameras),
+        "steps_per_block": layout.chunk_steps,
+        "recipe": recipe.to_json(),
+        "recipe_hash": recipe.hash,
+        "wavefield_version": recipe.software.get("wavefield", ""),
+    }
     with atomic(path) as draft, zarr.config.set(FILES_OF_ALL_CHUNKS):
-        group = _lay_out(draft, recipe, x, y, layout, attributes)
+        group = zarr.open_group(draft, mode="w", zarr_format=3, attributes={**own, **attributes})
+        for name, values in axes.items():
+            add_array(group, TABLE[name], values)
+        _add_chunked(group, layout, (y.size, x.size), recipe.packing == "int16")
         for name, values in (once or {}).items():
             row = find(name, "gain")
             assert row is not None
@@ -98,56 +117,23 @@ def create_store(
         write_metadata(draft, json.loads((draft / "zarr.json").read_bytes()))
 
 
-def _lay_out(
-    path: Path,
-    recipe: Recipe,
-    x: np.ndarray,
-    y: np.ndarray,
-    layout: StoreLayout,
-    attributes: Mapping[str, Any],
-) -> zarr.Group:
-    """Make and return the group of a cube with all its arrays, of which only the axes have values so far.
-    The arguments are those of `create_store`."""
+def _add_chunked(group: zarr.Group, layout: StoreLayout, nodes: tuple[int, int], packing: bool) -> None:
+    """Add the empty fields, (time, y, x), and the ledger to the group of a cube with `nodes` = (ny, nx).
+    With `packing`, fields are stored in 16 bits."""
     n, steps = layout.steps, layout.chunk_steps
-    group = zarr.open_group(
-        path,
-        mode="w",
-        zarr_format=3,
-        attributes={
-            "Conventions": "CF-1.11",
-            "title": title(recipe.experiment),
-            "experiment": recipe.experiment,
-            "frame_rate": recipe.frame_rate,
-            "cameras": list(layout.cameras),
-            "steps_per_block": steps,
-            "recipe": recipe.to_json(),
-            "recipe_hash": recipe.hash,
-            "wavefield_version": recipe.software.get("wavefield", ""),
-            **attributes,
-        },
-    )
-    frames = layout.first_frame + np.arange(n + 1)
-    for name, values in (
-        ("time", (frames[:-1] + 0.5) / recipe.frame_rate),
-        ("y", y),
-        ("x", x),
-        ("frame", frames),
-        ("path_frames", np.uint8(recipe.record.get("path_frames", 4))),
-    ):
-        add_array(group, TABLE[name], values)
     inner = max(k for k in range(1, INNER_CHUNK_STEPS + 1) if steps % k == 0)
     for name in CUBE_FIELDS:
         row = TABLE[name]
-        packed = recipe.packing == "int16" and name in PACKING
+        packed = packing and name in PACKING
         dtype = "int16" if packed else row.dtype
         fill: Any = MISSING if packed else np.nan if dtype == "float32" else 0
         encoding = {"scale_factor": PACKING[name], "add_offset": 0.0, "_FillValue": MISSING} if packed else {}
         add_array(
             group,
             row,
-            shape=(n, y.size, x.size),
-            chunks=(inner, y.size, x.size),
-            shards=(steps, y.size, x.size),
+            shape=(n, *nodes),
+            chunks=(inner, *nodes),
+            shards=(steps, *nodes),
             dtype=dtype,
             fill_value=fill,
             compressors=(BloscCodec(**COMPRESSION, shuffle="shuffle"), Crc32cCodec()),
@@ -160,7 +146,6 @@ def _lay_out(
     }
     for name, sizes in ledger.items():  # not compressed, because `is_started` reads the bytes of the file
         add_array(group, TABLE[name], **sizes, fill_value=0, compressors=Crc32cCodec())
-    return group
 
 
 def add_array(

@@ -1,7 +1,4 @@
-"""Read the progress of a run from the ledger of its cube: steps done and failed, and faults of frames.
-
-The ledger is the pair of arrays ``frame_status`` (status of each step) and ``frame_fault`` (fault of each
-frame and camera), which a run writes with each chunk. A step is the interval between two frames."""
+"""Read the progress of a run from the ledger of its cube: steps done and failed, and faults of frames."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,8 +1,7 @@
 """A thinned copy of a cube for fast plots: every nth node in 16 bits, written during the run.
 
-The group ``preview`` in a cube's store has one array ``fields`` (variable, y, x, time) with one file per
-chunk of steps, so that two tasks never write the same file. It may be deleted at any time: `read_thinned`
-then reads the cube itself.
+The group ``preview`` in a cube's store has one array ``fields`` (variable, y, x, time), with one file per
+chunk. It may be deleted at any time: `read_thinned` then reads the cube itself.
 """
 
 import math

@@ -1,8 +1,4 @@
-"""The recipe of a cube: everything that determines its values, as plain data with a hash.
-
-A run continues an existing cube only if both have the same recipe. Results made from a cube, such as waves,
-carry the identity of the cube (`source_of`) and the state of its steps (`state_of`).
-"""
+"""The recipe of a cube: everything that determines its values; a run continues a cube of the same recipe."""
 
 import hashlib
 import json

@@ -1,8 +1,4 @@
-"""Verify a store: check that all files exist, and that their checksums are right.
-
-The ledger is the status of each step in the store (`wavefield.store.ledger`); a chunk is a range of steps
-that was written at once.
-"""
+"""Verify a store: check that all files exist, and that their checksums are right."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress

@@ -1,8 +1,7 @@
 """Write results into a cube chunk by chunk; clear or reset steps; change the name and description.
 
-A chunk is a range of steps, and has one file in every array, so any number of processes may write different
-chunks at once. Files are renamed into place when complete, so a killed process never leaves half a file. The
-status of the steps (``frame_status``, the ledger) is written last: a step that is marked done is complete."""
+Any number of processes may write different chunks at once. Files are renamed into place when complete, so a
+killed process never leaves half a file. ``frame_status`` is written last: a step marked done is complete."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -36,10 +35,9 @@ def write_chunk(
     frame_status: np.ndarray,
     faults: Mapping[str, Mapping[int, FrameFault]],
 ) -> None:
-    """Write all results of one chunk into the cube at `path`; ``frame_status`` is written last.
-    `start` is the first step of the chunk. `fields` has the variables `CUBE_FIELDS`, (n, ny, nx), in SI units
-    (px for ``eps_piv``), and `frame_status` (n,) the `FrameStatus` of each step. `faults` has, by camera, the
-    fault of each bad frame by the frame's index in the record."""
+    """Write all results of the chunk that begins with step `start` into the cube at `path`.
+    `fields` has the variables `CUBE_FIELDS`, (n, ny, nx), in SI units (px for ``eps_piv``), `frame_status`
+    (n,) the `FrameStatus` of each step, and `faults` each bad frame's fault, by camera and index."""
     group = open_group(path, "r+")
     layout = read_layout(group)
     stop = min(start + layout.chunk_steps, layout.steps)
@@ -68,9 +66,8 @@ def write_chunk(
 
 def clear_steps(path: Path, steps: Sequence[int]) -> None:
     """Clear the values of those of `steps` (indices) that were measured, and mark them as discontinuous.
-    Cleared values are NaN, and 0 in ``quality``. Steps that are not measured or have failed stay as they are.
-    The status of all steps is written before any value, so that the next run can finish the work after an
-    interruption."""
+    Cleared values are NaN, and 0 in ``quality``. The status of all steps is written before any value, so that
+    the next run can finish the work after an interruption."""
     group = open_group(path, "r+")
     layout = read_layout(group)
     with writing(path), zarr.config.set(FILES_OF_ALL_CHUNKS):

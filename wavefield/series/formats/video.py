@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
 from wavefield.images import grey
-from wavefield.series.formats.recordings import Pixels, Times, no_times, refuse_index, usual_interval
+from wavefield.series.formats.recordings import Pixels, no_times, refuse_index, usual_interval
 from wavefield.text import one_line
 
 UNTIMED = (".avi",)  # containers without presentation times: compressed frames are counted by decoding
@@ -43,9 +43,14 @@ class Video:
         self.count = len(self._stamps)
         if not self.count:
             raise FrameError(f"{path} holds not one complete image: it is empty or truncated")
-        times = self._seconds()
-        self.rate = self._rate(times)
-        self.times = (lambda: times) if self._timed and self.count > 1 else no_times
+        base = float(self._stream.time_base or 1.0)
+        times = np.array(self._stamps, float) * base - self._stamps[0] * base
+        self.rate: float | None  # without times the rate that the container states
+        if self._timed and self.count > 1:
+            self.rate, self.times = float(f"{1 / usual_interval(times):.4g}"), lambda: times
+        else:
+            stated = self._stream.guessed_rate or self._stream.average_rate or 0
+            self.rate, self.times = float(stated) or None, no_times
         image = self.read(0)
         self.shape = (image.shape[0], image.shape[1])
         self._rewind()
@@ -75,18 +80,6 @@ class Video:
         self._container.close()
         self._open()
         self._frames, self._next = self._decoded(), 0
-
-    def _seconds(self) -> Times:
-        """Return the time of each frame since the first one, (count,), s."""
-        base = self._stream.time_base
-        return np.array(self._stamps, float) * float(base or 1.0) - self._stamps[0] * float(base or 1.0)
-
-    def _rate(self, times: Times) -> float | None:
-        """Return the frames per second, from `times`, s, to four significant digits.
-        Without times it is the rate that the container states, or None."""
-        if self._timed and self.count > 1:
-            return float(f"{1 / usual_interval(times):.4g}")
-        return float(self._stream.guessed_rate or self._stream.average_rate or 0) or None
 
     def read(self, index: int) -> Pixels:
         """Return the frame at an index from 0, (row, column); FrameError if it cannot be decoded."""
