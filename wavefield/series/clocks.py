@@ -192,8 +192,7 @@ def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[st
         try:
             if paths:
                 with closing(open_recording(paths[0])) as recording:
-                    turned = getattr(recording, "rotation", 0)
-                    found[str(name)] = Stated(recording.rate, is_video(paths[0]), turned)
+                    found[str(name)] = Stated(recording.rate, is_video(paths[0]), recording.rotation)
         except FrameError:  # reported when the images are opened
             continue
     return found

@@ -19,7 +19,7 @@ from wavefield.series.formats.arrays import ZarrImages, is_remote
 MAX_OPEN_FILES = 8  # per process; files with many frames stay open between reads
 
 Kind = Literal["file", "images"]
-_Images: TypeAlias = Recording | TiffImages | ZarrImages  # open files or stores of many images
+_Images: TypeAlias = Recording | TiffImages  # open files or stores of many images
 
 
 class FrameEntry(NamedTuple):

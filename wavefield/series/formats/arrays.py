@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wavefield.errors import FrameError
-from wavefield.series.formats.recordings import Pixels, Recording, Times, refuse_index, usual_interval
+from wavefield.series.formats.recordings import Pixels, Recording, Times, usual_interval
 from wavefield.text import one_line
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ SECONDS = {
 }
 
 
-class _Dataset:
+class _Dataset(Recording):
     """An HDF5 dataset (image, row, column) as a `Recording`; `path` names it in messages."""
 
     def __init__(self, path: Path, file: h5py.File, data: h5py.Dataset) -> None:
@@ -39,18 +39,12 @@ class _Dataset:
         if rate is not None:
             self.rate = float(np.ravel(rate)[0])
 
-    def read(self, index: int) -> Pixels:
-        """Return the image at an index from 0, (row, column); FrameError if it cannot be read."""
-        refuse_index(index, self.count, self.path)
+    def _read(self, index: int) -> Pixels:
         try:
             image = np.asarray(self._data[index])
         except (OSError, RuntimeError) as error:
             raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
         return image.astype(image.dtype.newbyteorder("="), copy=False)
-
-    def times(self) -> Times:
-        """Return the times of the images, (count,), s; empty if the file has none."""
-        return self._times
 
     def close(self) -> None:
         """Close the file."""
@@ -111,7 +105,7 @@ def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
     return file[named[0]]
 
 
-class ZarrImages:
+class ZarrImages(Recording):
     """The images in a Zarr array (image, row, column); `path` is a path or a URL.
     If `path` is that of a group, its array ``image`` is used. FrameError if there is no array, or if it does
     not have three dimensions."""
@@ -133,17 +127,13 @@ class ZarrImages:
         if opened.ndim != 3:
             raise FrameError(f"{path} has {opened.ndim} dimensions, images need three: time, row, column")
         self.path, self._array = path, opened
-        self.count = int(self._array.shape[0])
+        self.count, self.shape = int(opened.shape[0]), (int(opened.shape[1]), int(opened.shape[2]))
 
-    def read(self, index: int) -> Pixels:
-        """Return the image at an index from 0, (row, column); FrameError if it cannot be read."""
+    def _read(self, index: int) -> Pixels:
         try:
             return np.asarray(self._array[index])
         except Exception as error:
             raise FrameError(f"{self.path}, image {index}: {one_line(error)}") from None
-
-    def close(self) -> None:
-        """Do nothing: no file stays open."""
 
 
 def is_remote(name: str) -> bool:

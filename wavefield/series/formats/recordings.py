@@ -1,14 +1,15 @@
-"""Recordings: the members that all have, and readers of Phantom, Photron, StreamPix and DaVis files."""
+"""Recordings: the base class of all, and readers of Phantom, Photron, StreamPix and DaVis files."""
 
 import re
 import struct
 import xml.etree.ElementTree as ET
+from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO
 
 import imagecodecs
 import numpy as np
@@ -22,46 +23,50 @@ Times = NDArray[np.float64]
 Starts = range | NDArray[np.int64]  # byte in a file at which each image begins
 
 
-class Recording(Protocol):
+class Recording(ABC):
     """A file of many images (row, column); any image can be read without its neighbours."""
 
+    path: Path | str  # The file, for messages
     count: int  # Images in it
     shape: tuple[int, int]  # Rows and columns
-    rate: float | None  # Images per second; None if the file does not tell
+    rate: float | None = None  # Images per second; None if the file does not tell
+    rotation = 0  # Rotation for display that a video states, degrees; it is not applied
+    _times: Times = np.empty(0)
 
     def read(self, index: int) -> Pixels:
         """Return the image at an index from 0, (row, column); FrameError if it cannot be read."""
+        if not 0 <= index < self.count:
+            raise FrameError(f"{self.path} has {self.count} images: there is no image {index}")
+        return self._read(index)
+
+    @abstractmethod
+    def _read(self, index: int) -> Pixels:
+        """Return the image at an index below `count`; FrameError if it cannot be read."""
 
     def times(self) -> Times:
         """Return the times of the images, (count,), s; empty if the file has none."""
+        return self._times
 
-    def close(self) -> None:
-        """Close the file."""
-
-
-def no_times() -> Times:
-    """Return an empty array: the `times` of a recording that has none."""
-    return np.empty(0)
+    def close(self) -> None:  # noqa: B027  # not all recordings keep a file open
+        """Close the file, if it is open."""
 
 
 @dataclass
-class RawRecording:
+class RawRecording(Recording):
     """A recording with uncompressed pixels, each image at a known place in the file."""
 
-    path: Path  # The file
-    count: int  # Images in it
-    shape: tuple[int, int]  # Rows and columns
+    path: Path
+    count: int
+    shape: tuple[int, int]
     starts: Starts  # Byte at which each image begins
     # Reads an image, (row, column), from a file positioned at its pixels; `EOFError` where it ends before
     take: Callable[[FileIO], Pixels]
-    rate: float | None = None  # Images per second; None if the file does not tell
+    rate: float | None = None
     prefixed: bool = False  # Whether a note precedes the pixels; its first four bytes are its length in bytes
-    times: Callable[[], Times] = no_times  # Returns the times of the images, (count,), s; empty without
+    stamps: Callable[[], Times] | None = None  # Reads the times of the images, (count,), s
     _stream: FileIO | None = field(default=None, repr=False)
 
-    def read(self, index: int) -> Pixels:
-        """Return the image at an index from 0, (row, column); FrameError if it cannot be read."""
-        refuse_index(index, self.count, self.path)
+    def _read(self, index: int) -> Pixels:
         try:
             if self._stream is None:
                 self._stream = FileIO(str(self.path))
@@ -75,6 +80,10 @@ class RawRecording:
             raise FrameError(f"{self.path}, image {index} cannot be read: {error}") from None
         except EOFError:
             raise FrameError(f"{self.path} ends within image {index}: is it truncated?") from None
+
+    def times(self) -> Times:
+        """Return the times of the images, (count,), s; empty if the file has none."""
+        return self.stamps() if self.stamps else np.empty(0)
 
     def close(self) -> None:
         """Close the file; a further `read` opens it again."""
@@ -95,12 +104,6 @@ def usual_interval(times: Times) -> float:
     """Return the mean of `usual_intervals`: the interval between images, s; 0 if there are none."""
     usual = usual_intervals(times)
     return float(usual.mean()) if len(usual) else 0.0
-
-
-def refuse_index(index: int, count: int, path: Path) -> None:
-    """Raise FrameError if a recording of `count` images has no image `index`."""
-    if not 0 <= index < count:
-        raise FrameError(f"{path} has {count} images: there is no image {index}")
 
 
 def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
@@ -182,9 +185,9 @@ def open_cine(path: Path) -> Recording:
     else:
         raise FrameError(f"{path} holds images of {depth} bits of kind {code}: export them as grey TIFF")
     complete = complete_images(path, offsets, each + 8)
-    stamps = no_times if len(times) < complete else lambda: times[:complete]
+    stamps = None if len(times) < complete else lambda: times[:complete]
     rate = float(rate) if rate else None
-    return RawRecording(path, complete, shape, offsets, take, rate, prefixed=True, times=stamps)
+    return RawRecording(path, complete, shape, offsets, take, rate, prefixed=True, stamps=stamps)
 
 
 def _cine_times(stream: BinaryIO, at_setup: int, at_offsets: int) -> NDArray[np.float64]:
@@ -308,30 +311,23 @@ def open_streampix(path: Path) -> Recording:
                 out[index] = seconds + sum(part / 1e3 ** (k + 1) for k, part in enumerate(parts))
         return out
 
-    stamps = times if stride >= each + 8 else no_times
-    return RawRecording(path, complete, shape, starts, take, rate if 0 < rate < 1e7 else None, times=stamps)
+    stamps = times if stride >= each + 8 else None
+    return RawRecording(path, complete, shape, starts, take, rate if 0 < rate < 1e7 else None, stamps=stamps)
 
 
 # -- DaVis of LaVision: a `.set` file, and `.im7` buffers in the folder of the same name
 
 
-class _DavisSet:
+class _DavisSet(Recording):
     """A `Recording` of the image with index `frame`, from 0, of each buffer (.im7 file) of a DaVis set."""
 
     def __init__(self, path: Path, buffers: list[Path], frame: int) -> None:
         self.path, self._buffers, self._frame = path, buffers, frame
         first = read_buffer(buffers[0], frame)
         self.count, self.shape = len(buffers), (first.shape[0], first.shape[1])
-        self.rate: float | None = None
-        self.times = no_times
 
-    def read(self, index: int) -> Pixels:
-        """Return the image of the buffer at an index from 0, (row, column); FrameError if that fails."""
-        refuse_index(index, self.count, self.path)
+    def _read(self, index: int) -> Pixels:
         return read_buffer(self._buffers[index], self._frame)
-
-    def close(self) -> None:
-        """Do nothing: no file stays open."""
 
 
 def open_davis(path: Path) -> Recording:

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from wavefield.errors import FrameError
 from wavefield.images import grey
-from wavefield.series.formats.recordings import Pixels, no_times, refuse_index, usual_interval
+from wavefield.series.formats.recordings import Pixels, Recording, usual_interval
 from wavefield.text import one_line
 
 UNTIMED = (".avi",)  # containers without presentation times: compressed frames are counted by decoding
 
 
-class Video:
+class Video(Recording):
     """The frames of a video as a `Recording`; frames that the container marks as not shown are left out.
     FrameError if the file cannot be read as a video."""
 
@@ -45,16 +45,14 @@ class Video:
             raise FrameError(f"{path} holds not one complete image: it is empty or truncated")
         base = float(self._stream.time_base or 1.0)
         times = np.array(self._stamps, float) * base - self._stamps[0] * base
-        self.rate: float | None  # without times the rate that the container states
         if self._timed and self.count > 1:
-            self.rate, self.times = float(f"{1 / usual_interval(times):.4g}"), lambda: times
+            self.rate, self._times = float(f"{1 / usual_interval(times):.4g}"), times
         else:
-            stated = self._stream.guessed_rate or self._stream.average_rate or 0
-            self.rate, self.times = float(stated) or None, no_times
+            self.rate = float(self._stream.guessed_rate or self._stream.average_rate or 0) or None
         image = self.read(0)
         self.shape = (image.shape[0], image.shape[1])
         self._rewind()
-        self.rotation = int(getattr(next(self._decoded()), "rotation", 0))  # degrees; frames are not turned
+        self.rotation = int(getattr(next(self._decoded()), "rotation", 0))
         self._rewind()
 
     def _open(self) -> None:
@@ -81,9 +79,7 @@ class Video:
         self._open()
         self._frames, self._next = self._decoded(), 0
 
-    def read(self, index: int) -> Pixels:
-        """Return the frame at an index from 0, (row, column); FrameError if it cannot be decoded."""
-        refuse_index(index, self.count, self.path)
+    def _read(self, index: int) -> Pixels:
         stamp = self._stamps[index]
         if index < self._next or (self._timed and self._key(stamp) > self._key(self._stamps[self._next])):
             self._seek(stamp)
