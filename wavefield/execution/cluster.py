@@ -1,8 +1,7 @@
 """Map work over chunks: in this process, or on Dask workers of this machine, in Slurm jobs, or elsewhere.
 
-A chunk is a range of steps of the record that one task measures. `open_cluster` gives the same map function
-in all these places. The scheduler that a run starts accepts connections from that run only: it uses TLS with
-credentials made for each run, and serves no dashboard.
+The scheduler that a run starts accepts connections from that run only: it uses TLS with credentials made for
+each run, and serves no dashboard.
 """
 
 import functools
@@ -72,10 +71,9 @@ def _cores() -> int:
 def open_cluster(
     workflow: Workflow, logs: Path | None = None, imports: Sequence[str] = ()
 ) -> Iterator[MapUnordered]:
-    """Context manager: start the workers of a workflow, and end them at the end of the block.
-    It yields a map function, called as `map(work, items)`. That yields each item with its result, or with the
-    exception that `work(item)` raised, in the order of completion. `logs` is the folder for the output of
-    Slurm jobs; workers on this machine first import the modules `imports`."""
+    """Context manager: start the workers of a workflow, and yield a map function; the workers end after it.
+    `map(work, items)` yields each item with its result, or with the exception that it raised, in the order of
+    completion. `logs` is the folder for output of Slurm jobs; local workers first import `imports`."""
     if workflow.cluster == "none" or (workflow.cluster == "local" and count_workers(workflow) == 1):
         yield _map_here
         return
@@ -201,8 +199,7 @@ def _map_here(work: Work, items: Sequence[Any]) -> Results:
 
 def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Sequence[Any]) -> Results:
     """Yield each item with the result of `work(item)` or the exception raised, in the order of completion.
-    `workers` is the number of workers. `watch(client)` is called at least every 2 s, to check them.
-    StoreError if the scheduler is lost."""
+    `watch(client)` checks the workers at least every 2 s. StoreError if the scheduler is lost."""
     from distributed import CancelledError, wait
 
     packed, mark = pickle.dumps(work), uuid.uuid4().hex
@@ -234,8 +231,7 @@ def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Seq
 
 
 def _result(task: Any) -> Any:
-    """Return the result of a Dask task that has ended, or the exception that it raised.
-    Dask's errors on killed workers and on loading wavefield are replaced by errors that tell what to do."""
+    """Return the result of a Dask task that has ended, or its exception; Dask's own ones get a remedy."""
     from distributed import CancelledError, KilledWorker
 
     try:

@@ -139,15 +139,11 @@ def _numbers(*names: str) -> list[int]:
     return [getattr(signal, name) for name in names if hasattr(signal, name)]
 
 
-def _in_main_thread() -> bool:
-    return threading.current_thread() is threading.main_thread()
-
-
 @contextmanager
 def stop_signals(time_limit: float | None = None) -> Iterator[None]:
     """Context manager: raise `Stopped` in the block on SIGTERM, SIGHUP, SIGUSR1 or after `time_limit`, s.
     Slurm can send SIGUSR1 before it ends a job. There is no effect outside the main thread."""
-    if not _in_main_thread():
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
 
@@ -174,7 +170,7 @@ def stop_signals(time_limit: float | None = None) -> Iterator[None]:
 def deferred_signals() -> Iterator[None]:
     """Context manager: delay signals that stop a run until the block ends or a second signal arrives.
     Without it, interrupting the start of Dask prints tracebacks, and Ctrl-C in an import may be lost."""
-    if not _in_main_thread():
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
     before = {n: signal.getsignal(n) for n in _numbers("SIGINT", "SIGTERM", "SIGUSR1", "SIGALRM")}

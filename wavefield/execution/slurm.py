@@ -24,8 +24,7 @@ _MAX_LINE = 300  # characters of a log line that are quoted in a message
 
 
 def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
-    """Start and return a `dask_jobqueue.SLURMCluster`, which submits the jobs of a workflow to Slurm.
-    `logs` is the folder for the output of the jobs; it is made if it does not exist."""
+    """Start and return a `dask_jobqueue.SLURMCluster`, whose jobs write their output to the folder `logs`."""
     _import_jobqueue()
     from dask_jobqueue import SLURMCluster
     from dask_jobqueue.core import Job as JobBase
@@ -209,8 +208,7 @@ def queue_of(user: str) -> dict[str, tuple[str, str]] | None:
 
 
 def why_ended(numbers: Sequence[str], logs: Path) -> str:
-    """Return a message on jobs that ended before their workers started, with the last line of one's log.
-    `numbers` are their Slurm job numbers, and `logs` is the folder of their output."""
+    """Return a message on jobs that ended before their workers started, with the last line of a log."""
     head = f"Slurm job {numbers[-1]} ended before its worker started; "
     for number in numbers:
         for path in sorted(logs.glob(f"*-{number}*")):

@@ -205,7 +205,8 @@ class LiveMeasurement:
             geometry = GridGeometry(rig, experiment.choose_grid(rig), settings, covered)
             blank = {name: FrameSeries(name, 0, [], rig[name].size[::-1], "uint8") for name in rig}
             series = covered_series(experiment.mask, blank, rig, experiment.path.parent)
-            self._masks = {name: one.mask.covered() for name, one in series.items() if one.mask is not None}
+            masks = {name: one.covered(0) for name, one in series.items()}
+            self._masks = {name: mask for name, mask in masks.items() if mask is not None}
             self.learner = Learner(geometry, experiment.frame_rate)
             self.trouble = ""
         except WavefieldError as error:

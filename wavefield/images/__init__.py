@@ -22,17 +22,16 @@ ENDINGS = (*tiff.ENDINGS, ".png", ".bmp", ".jpg", ".jpeg")
 CONVERTED = (np.uint8, np.uint16, np.float32)  # types of colour images that OpenCV can convert to grey
 
 
-def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
+def read_image(path: str | Path) -> np.ndarray:
     """Return an image as grey levels in the file's type, (row, column), from TIFF, PNG, BMP, JPEG or IM7.
-    `page` is the index, from 0, of an image in a TIFF or IM7 file that has several. FrameError if the file is
-    missing, damaged or of another format, or if it has several images and `page` is None."""
+    FrameError if the file is missing, damaged or of another format, or if it has several images."""
     path = Path(path)
     refuse_pipe(path, FrameError)
     if path.suffix.lower() == ".im7":
-        return read_buffer(path, page)
+        return read_buffer(path)
     try:
         with path.open("rb") as stream:
-            return _read(stream, str(path), page)
+            return _read(stream, str(path))
     except FileNotFoundError:
         raise FrameError(f"{path}: no such image") from None
     except IsADirectoryError:
@@ -41,20 +40,19 @@ def read_image(path: str | Path, page: int | None = None) -> np.ndarray:
         raise FrameError(f"{path} cannot be read: {error.strerror or error}") from None
 
 
-def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
-    """Return a grey image, (row, column), from the open file `stream`; FrameError if it is damaged.
-    Messages call the file `name`. `page` is that of `read_image`."""
+def _read(stream: BinaryIO, name: str) -> np.ndarray:
+    """Return a grey image, (row, column), from the open file `stream`, called `name` in messages."""
     start = stream.read(4)
     stream.seek(0)
     if start in tiff.STARTS:
         images = tiff.TiffImages(stream, name)
-        if page is None and images.count != 1:
+        if images.count != 1:
             raise FrameError(
                 f"{name} has {images.count} images; name this file alone to read all, or save each to a file"
                 if images.count
                 else f"{name} is corrupt or truncated: it has no image"
             )
-        return grey(images.read(page or 0))
+        return grey(images.read(0))
     try:
         image = _decode(stream.read(), start)
     except (imagecodecs.PngError, imagecodecs.BmpError, ValueError, MemoryError) as error:
@@ -70,8 +68,7 @@ def _read(stream: BinaryIO, name: str, page: int | None) -> np.ndarray:
 
 
 def _decode(data: bytes, start: bytes) -> np.ndarray | None:
-    """Return the image in the bytes of a PNG, JPEG or BMP file: (row, column) or (row, column, RGB).
-    `start` is the first bytes of the file, which tell the format; None if they are of another format."""
+    """Return the image in a PNG, JPEG or BMP file, told by its first bytes, `start`; None for others."""
     if start == PNG:
         return np.asarray(imagecodecs.png_decode(data))
     if start[:3] == JPEG:  # strict: warnings of libjpeg, such as truncated data, are errors
@@ -91,8 +88,7 @@ def _unknown(name: str, start: bytes) -> str:
 
 def grey(image: np.ndarray) -> np.ndarray:
     """Return the luminance, (row, column), of an image (row, column, channel), in the type of the image.
-    The channels are red, green, blue and possibly alpha, which is ignored. Of one or two channels the first
-    is returned. An image (row, column) is returned unchanged."""
+    Channels are red, green, blue and alpha, which is ignored; of one or two channels the first is taken."""
     if image.ndim == 2:
         return image
     if image.shape[2] < 3:
@@ -106,8 +102,8 @@ def grey(image: np.ndarray) -> np.ndarray:
 
 def write_image(path: str | Path, image: np.ndarray, product: Product | None = None) -> None:
     """Write one grey image, (row, column), completely or not at all; the ending of `path` is the format.
-    Without a `product`, the mark of the file, any plain file at `path` is replaced. With a `product` a file
-    is replaced only if it has the same mark and is unchanged. FrameError if the image cannot be written."""
+    A file at `path` is replaced; with a `product`, the mark of the file, only if it has the same mark and is
+    unchanged. FrameError if the image cannot be written."""
     path = Path(path)
     try:
         with atomic(path, product, replace=product is None) as draft:
@@ -124,9 +120,8 @@ def write_image(path: str | Path, image: np.ndarray, product: Product | None = N
 
 
 def fill_masked(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """Return a copy of an image, (row, column), in which the pixels of a mask have the median grey level.
-    `covered` (row, column) is true at these pixels. The median is over the others, in every eighth row and
-    column."""
+    """Return a copy of an image, (row, column), whose pixels where the mask `covered` is true are grey.
+    Their level is the median of the other pixels, of every eighth row and column."""
     free = image[::8, ::8][~covered[::8, ::8]]
     out = image.copy()
     out[covered] = np.partition(free, free.size // 2)[free.size // 2] if free.size else 0

@@ -15,9 +15,8 @@ MAX_COMPRESSION = 2000  # pixels per byte of a file; zlib does not compress more
 
 
 def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
-    """Return one image of a DaVis file (.im7), (row, column), in counts; needs LaVision's package lvpyio.
-    `frame` is the index of the image, from 0, needed if the file has several. FrameError if the package is
-    not installed, or if the image is absent or damaged."""
+    """Return one image of a DaVis file (.im7), (row, column), in counts, by LaVision's package lvpyio.
+    `frame` is its index from 0, needed if the file has several. FrameError if that fails."""
     path = Path(path)
     try:
         import lvpyio

@@ -47,8 +47,7 @@ class TiffImages:
         self.count = stacked if self._stacked else len(self._pages)
 
     def read(self, index: int) -> NDArray[Any]:
-        """Return the image at an index from 0, (row, column) or (row, column, RGB).
-        FrameError if the image is absent, damaged or of an unsupported kind."""
+        """Return the image at an index from 0, (row, column) or (row, column, RGB); else FrameError."""
         try:
             number = index if self._stacked else self._pages[index]
             page: Any = self.file.pages[0 if self._stacked else number]
@@ -125,8 +124,7 @@ def _refuse_missing_parts(page: Any, size: int) -> None:
 
 def _as_bright(page: Any, image: NDArray[Any], name: str) -> NDArray[Any]:
     """Return the decoded image of a page as (row, column) or (row, column, RGB), with large values bright.
-    Alpha is dropped, and a palette is applied. An image in which 0 is white is inverted; FrameError if its
-    numbers are signed. Single bits become 0 or 255."""
+    Alpha is dropped, palettes are applied, images in which 0 is white are inverted, bits become 0 or 255."""
     if image.ndim == 3 and page.planarconfig == tifffile.PLANARCONFIG.SEPARATE:
         image = np.moveaxis(image, 0, -1)
     if page.extrasamples:

@@ -58,8 +58,7 @@ def read_backgrounds(
 def refuse_other_images(
     background: Image, name: str, shape: tuple[int, ...], dtype: str, experiment: Path
 ) -> None:
-    """Raise ExperimentError if the background of the camera `name` does not fit the camera's frames.
-    `shape` (rows, columns) and `dtype` are those of the frames, and `experiment` is the experiment file."""
+    """Raise ExperimentError if the background of a camera differs from its frames in shape or type."""
     if background.shape != shape or background.dtype != dtype:
         raise ExperimentError(
             f"{experiment}: background of {name}: it is {background.shape[1]} x {background.shape[0]} "
@@ -74,8 +73,7 @@ def with_backgrounds(
     resolve: Callable[[str], Path],
     experiment: Path,
 ) -> dict[str, FrameSeries]:
-    """Return the frames of each camera such that reading one subtracts the camera's background from it.
-    The arguments are those of `read_backgrounds`."""
+    """Return series that subtract backgrounds from their frames; other arguments: `read_backgrounds`."""
     images = read_backgrounds(named, series, resolve, experiment)
     for name, image in images.items():
         refuse_other_images(image, name, series[name].shape, series[name].dtype, experiment)
@@ -83,8 +81,7 @@ def with_backgrounds(
 
 
 def checksums(series: Mapping[str, FrameSeries]) -> dict[str, str]:
-    """Return the checksum of each camera's background by camera name; empty without backgrounds.
-    The checksums become part of the recipe (the record of all inputs) of a cube."""
+    """Return the checksum of each camera's background, for the recipe of a cube; empty if there is none."""
     return {
         name: hashlib.sha256(np.ascontiguousarray(one.background).tobytes()).hexdigest()[:16]
         for name, one in series.items()
@@ -96,8 +93,7 @@ def write_backgrounds(
     series: Mapping[str, FrameSeries], folder: Path, frames: int, source: str
 ) -> list[Path]:
     """Write the mean of `frames` frames of each camera to `folder`/CAMERA.tif, and return these paths.
-    `source` identifies the experiment (`identity_of`). An existing file is replaced only if it is an
-    unchanged background of the same experiment; otherwise StoreError is raised."""
+    StoreError if a file exists that is not an unchanged background of the same experiment, `source`."""
     product = Product("background", source)
     files = {name: folder / f"{name}.tif" for name in series}
     for file in files.values():

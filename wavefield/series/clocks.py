@@ -64,8 +64,7 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
 
 
 def read_time_stamps(path: Path, camera: str) -> Times:
-    """Return the times in a file, (n,), s: one time per line, or a CSV file with a column ``time``.
-    ExperimentError, which names the `camera`, if the times are not increasing numbers."""
+    """Return the increasing times in a file, (n,), s: one per line, or a CSV file with a column ``time``."""
     times: list[float] = []
     column, columns = 0, 1
     for number, line in numbered_lines(path, f"the time stamps of {camera}"):
@@ -114,9 +113,8 @@ def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
     numbers span over 100 times the frames."""
     passed = np.diff(times) / usual_interval(times)
     steps = np.rint(passed)
-    if np.abs(passed - steps).max() > MAX_OFFSET or steps.min() < 1:
-        return numbered
-    if steps.sum() > MAX_NUMBERS_PER_FRAME * len(steps):  # several records in one file
+    several_records = steps.sum() > MAX_NUMBERS_PER_FRAME * len(steps)
+    if several_records or np.abs(passed - steps).max() > MAX_OFFSET or steps.min() < 1:
         return numbered
     old = sorted(numbered)
     places = old[0] + np.append(0, np.cumsum(steps)).astype(int)
@@ -182,9 +180,8 @@ class Stated(NamedTuple):
 
 
 def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[str, Stated]:
-    """Return the frame rate, kind and rotation of the first recording of each camera that has a readable one.
-    `cameras` is the block ``cameras`` of the experiment file as plain data, with paths relative to
-    `folder`."""
+    """Return the frame rate, kind and rotation of the first recording of each camera, if it is readable.
+    `cameras` is the block ``cameras`` of the experiment file as plain data, with paths from `folder`."""
     found = {}
     for name, camera in cameras.items():
         images = camera.get("images") if isinstance(camera, Mapping) else camera
@@ -211,8 +208,7 @@ def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
-    """Return the frame rate, Hz, from those of the cameras' recordings (`rates`); None if there are none.
-    ExperimentError, which names the experiment file `path`, if two rates differ by more than 1 %."""
+    """Return the frame rate, Hz, that recordings state; ExperimentError if two differ by more than 1 %."""
     if not rates:
         return None
     (first, rate), *others = rates.items()

@@ -29,8 +29,7 @@ class FrameWarning(UserWarning):
 
 
 class FrameArray(BackendArray):
-    """The images of one camera as a lazy array (time, row, column).
-    For a missing or bad frame it gives zeros and a FrameWarning."""
+    """The images of one camera as a lazy array (time, row, column); zeros and a warning for bad frames."""
 
     def __init__(self, series: FrameSeries) -> None:
         self.series = series
@@ -83,8 +82,7 @@ class ExperimentBackend(BackendEntrypoint):
         group: str | None = None,
     ) -> xr.Dataset:
         """Open a cube, smoothed fields, or the images of one camera of an experiment file (``group="cam1"``).
-        ValueError if an experiment file is opened without the name of one of its cameras. StoreError if a
-        store is damaged, or is neither a cube nor smoothed fields."""
+        StoreError if a store is damaged, or is neither a cube nor smoothed fields."""
         path = Path(str(filename_or_obj).removeprefix("file://"))
         if path.is_file():
             cameras = self.open_datatree(path)
@@ -139,9 +137,8 @@ def _smoothed(path: Path) -> xr.Dataset:
 
 
 def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
-    """Return a Dataset of one camera: ``image`` (time, row, column) and ``present`` (time).
-    ``present`` is false at missing frames. `departures`, the delays of the frames (n,) in frame intervals,
-    become the coordinate ``departure``; None stands for no delays."""
+    """Return a Dataset of one camera: ``image`` (time, row, column), and whether it is ``present`` (time).
+    The delays of the frames (n,) in frame intervals, if any, become the coordinate ``departure``."""
     array = FrameArray(series)
     image = xr.Variable(
         ("time", "row", "column"),
@@ -162,8 +159,7 @@ def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
 
 
 def _root(experiment: Experiment, series: FrameSeries) -> xr.Dataset:
-    """Return a Dataset with the times, s, and the numbers of the frames as coordinates, for all cameras.
-    Its attributes are the name of the experiment, the frame rate, and the properties of the water."""
+    """Return a Dataset with the times, s, and the numbers of the frames as coordinates, for all cameras."""
     number = series.first + np.arange(len(series))
     return xr.Dataset(
         coords={

@@ -171,8 +171,7 @@ class Experiment(RecordSection):
         return self._path.parent / (self.folder or "")
 
     def resolve(self, name: str | Path) -> Path:
-        """Return the absolute path of a file (but not of an image) from its name in the experiment file.
-        In the name, ``{folder}`` stands for the folder of the images."""
+        """Return the path of a file from its name here, in which ``{folder}`` is the folder of the images."""
         return self._path.parent / str(name).replace("{folder}", str(self.image_folder))
 
     def at_rest(self) -> "Experiment":
@@ -295,8 +294,7 @@ def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
 
 def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, float] | None:
     """Return the elevations, m, at which an automatic grid has to stay in the cameras' view.
-    The setting `z_range` gives a pair (low, high). Otherwise half of the setting `sheet_thickness` is a limit
-    both upwards and downwards. None if neither is set, or if the setting is not valid."""
+    They are the setting `z_range`, (low, high), or half of `sheet_thickness` up and down, or None."""
     try:
         if settings.get("z_range"):
             low, high = settings["z_range"]

@@ -148,8 +148,7 @@ class GridSection(ConfigSection):
 
 
 class WaterSection(ConfigSection):
-    """Properties of the water.
-    They are its depth, still level, density and surface tension."""
+    """Properties of the water."""
 
     depth: float | None = Field(default=None, gt=0, le=12_000, examples=["0.70"], description="depth, m")
     level: float = Field(default=0.0, description="height of the still water above z = 0 of the rig file, m")

@@ -25,13 +25,9 @@ class CameraMask:
     outlines: tuple[Outline, ...] = ()  # Closed outlines of corners (column, row), px; their inside is masked
     images: tuple[FrameEntry, ...] = ()  # Images of this shape, masked where not black
 
-    def covered(self) -> NDArray[np.bool_]:
-        """Return a mask (row, column), true at masked pixels; FrameError if a mask image is bad."""
-        return _covered(self)
-
 
 @lru_cache(maxsize=16)
-def _covered(mask: CameraMask) -> NDArray[np.bool_]:
+def covered_pixels(mask: CameraMask) -> NDArray[np.bool_]:
     """Return a mask (row, column), read-only, true at masked pixels; FrameError if a mask image is bad."""
     drawn = np.zeros(mask.shape, np.uint8)
     for outline in mask.outlines:
@@ -143,7 +139,7 @@ class FrameSeries:
 
     def covered(self, index: int) -> NDArray[np.bool_] | None:
         """Return a mask (row, column), true at masked pixels, the same at every index; None without one."""
-        return None if self.mask is None else self.mask.covered()
+        return None if self.mask is None else covered_pixels(self.mask)
 
     def read_uncovered(self, index: int) -> np.ndarray | None:
         """Return the image at an index, with masked pixels set to the median grey; None for a bad frame."""
@@ -180,8 +176,7 @@ def subtracted(image: NDArray[Any], background: NDArray[Any]) -> NDArray[Any]:
 
 
 def check_content(image: np.ndarray, place: str) -> Frame:
-    """Return an image as a `Frame`, or only a fault if the image is blank or has pixels that are not finite.
-    `place` is the text (camera, frame number, file) that names the frame in the message."""
+    """Return an image as a `Frame`, or its fault, called by `place` in messages, if blank or not finite."""
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())
         return Frame(None, FrameFault.UNREADABLE, f"{place} has {bad} pixels that are not finite numbers")

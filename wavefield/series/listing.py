@@ -84,8 +84,7 @@ def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbe
 
 
 def _names(path: Path, camera: str) -> dict[int, str]:
-    """Return the names of the files that match a pattern (``cam1/img_{frame}.tif``), by frame number.
-    ExperimentError if the folder cannot be read, or if no file matches."""
+    """Return the names of the files that match a pattern (``cam1/img_{frame}.tif``), by frame number."""
     folder, pattern = path.parent, path.name
     try:
         names = os.listdir(folder)
@@ -144,8 +143,7 @@ def make_series(
 
 
 def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tuple[int, int], str]:
-    """Return the shape (rows, columns) and type of a camera's images, from the first frame that is readable.
-    Five frames, evenly spaced over the record, are tried; ExperimentError if none is readable."""
+    """Return the shape (rows, columns) and type of the first readable image of five over the record."""
     present = [entry for entry in entries if entry is not None]
     tried = [present[k] for k in from_first_to_last(len(present), 5)] if present else []
     problem = "there are none in the range of frames"

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from wavefield.config_files import ConfigSection
 from wavefield.errors import ExperimentError, FrameError
 from wavefield.rig import Camera, Rig
-from wavefield.series.frames import CameraMask, FrameSeries, Outline
+from wavefield.series.frames import CameraMask, FrameSeries, Outline, covered_pixels
 from wavefield.series.readers import FrameEntry
 
 WATER = "water"  # key of masks on the water; other keys are cameras
@@ -81,7 +81,7 @@ def covered_series(
             out[name] = frames
             continue
         try:
-            everywhere = mask.covered().all()
+            everywhere = covered_pixels(mask).all()
         except FrameError as error:
             raise ExperimentError(f"mask of {name}: {error}") from None
         if everywhere:

@@ -116,8 +116,7 @@ def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
 
 
 def _names(path: Path, number: int, line: str) -> list[str]:
-    """Return the names of the columns from the header of a probe file, ``time,NAME,...``.
-    ExperimentError if `line`, which has the line number `number`, is not such a header."""
+    """Return the names of the columns from the header of a probe file, ``time,NAME,...``, in `line`."""
     names = [name.strip().strip('"') for name in line.split(",")]
     odd = any(not name or set(name) & set("[](){}") for name in names)
     if len(names) < 2 or names[0] != "time" or odd or len(set(names)) < len(names):
@@ -147,8 +146,7 @@ def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArra
 
 
 def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> None:
-    """Raise ExperimentError if times, s, do not increase, or if their median interval exceeds 2 s.
-    `numbers` are the line numbers of the times in the file, for the message."""
+    """Raise ExperimentError, with a line number, if times, s, do not increase or are over 2 s apart."""
     steps = np.diff(times)
     if not (steps > 0).all():
         later = int(np.argmin(steps > 0)) + 1

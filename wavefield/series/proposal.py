@@ -91,8 +91,7 @@ def find_series(paths: Sequence[str]) -> list[NumberedImages]:
 
 
 def camera_names(patterns: Sequence[str]) -> list[str]:
-    """Return a camera name for each pattern: the pattern's folder, or cam1, cam2, ...
-    Folders are used if their names are distinct words."""
+    """Return a camera name for each pattern: the folders, if these are distinct words, or cam1, cam2, ..."""
     folders = [pattern.rpartition("/")[0].rpartition("/")[2] for pattern in patterns]
     words = {folder for folder in folders if re.fullmatch("[A-Za-z][A-Za-z0-9_]+", folder)}
     return folders if len(words) == len(patterns) else [f"cam{k}" for k in range(1, len(patterns) + 1)]

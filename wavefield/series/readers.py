@@ -44,8 +44,7 @@ def read_entry(entry: FrameEntry) -> np.ndarray:
 
 
 def count_images(name: str | Path) -> tuple[Kind, int]:
-    """Return ("file", 1) for a file of one image, else ("images", number of images in the file or store).
-    FrameError if it is missing or damaged."""
+    """Return ("file", 1) for a file of one image, else ("images", number of images in the file or store)."""
     refuse_pipe(name, FrameError)
     path = Path(name)
     single = recording_path(path) is None and path.suffix.lower() not in (*TIFF_ENDINGS, ".zarr")
@@ -80,8 +79,7 @@ def close_files() -> None:
 
 
 def _kept_open(path: str) -> _Images:
-    """Return the open file of a path, and keep it open for later calls.
-    The eight files used last stay open; others are closed."""
+    """Return the open file of a path; the eight files used last stay open for later calls."""
     try:
         key = path, os.stat(path).st_mtime_ns  # a file that was copied again is opened again
     except OSError:

@@ -10,13 +10,7 @@ from wavefield.errors import ExperimentError
 from wavefield.series.clocks import own_times, place_by_intervals, place_by_time, read_time_stamps
 from wavefield.series.experiment_parts import RecordSection
 from wavefield.series.frames import FrameSeries
-from wavefield.series.listing import (
-    MAX_FRAMES,
-    MAX_NUMBERS_PER_FRAME,
-    Numbered,
-    make_series,
-    number_frames,
-)
+from wavefield.series.listing import MAX_FRAMES, MAX_NUMBERS_PER_FRAME, Numbered, make_series, number_frames
 
 Times = NDArray[np.float64]
 
@@ -49,8 +43,7 @@ def open_record(
 
 def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int, last: int) -> None:
     """Raise ExperimentError if there are far fewer frames than frame numbers from `first` to `last`.
-    The limits are 100 numbers per frame and five million numbers. A negative `first` must not precede all
-    frames. `numbered` holds the frames of each camera by number."""
+    The limits are 100 numbers per frame and five million; a negative `first` must not precede all frames."""
     lowest = min(min(frames) for frames in numbered)
     if first < min(lowest, 0):
         raise ExperimentError(f"{path}: frames.first is {first}, but the first frame there is {lowest}")

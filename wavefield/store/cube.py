@@ -74,8 +74,7 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
 
 def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
-    """Open every variable in a cube's store, lazily; the parameters are those of `open_cube`.
-    Coordinates and attributes that `open_cube` adds are absent."""
+    """Open every variable in a cube's store, lazily, without what `open_cube` adds to them."""
     path = find_store(path)
     layout = read_layout(open_group(path))
     if chunks == "auto":
@@ -124,12 +123,7 @@ class _NamedArray(BackendArray):
 
 @xr.register_dataset_accessor("wavefield")
 class CubeAccessor:
-    """Properties of a cube other than its fields, as ``cube.wavefield``.
-
-    Parameters
-    ----------
-    cube : Dataset
-        From `open_cube`, `reconstruct` or ``xr.open_dataset("cube.zarr", engine="wavefield")``.
+    """Properties of a cube, from `open_cube` or `reconstruct`, other than its fields: ``cube.wavefield``.
 
     Examples
     --------

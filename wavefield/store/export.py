@@ -126,9 +126,8 @@ def _product(cube: "xr.Dataset") -> Product:
 
 
 def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
-    """Write a cube, or averages of a cube, as a NetCDF-4 file with CF attributes.
-    Attributes and encodings of `cube` are changed in place. StoreError if `path` exists and is not an export
-    of the same cube."""
+    """Write a cube as a NetCDF-4 file with CF attributes; those of `cube` are changed in place.
+    StoreError if `path` exists and is not an export of the same cube."""
     product = _product(cube)
     cube.attrs = {
         name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()
@@ -173,8 +172,7 @@ def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
 
 def _write_uvmat(cube: "xr.Dataset", path: Path) -> None:
     """Write a folder with one NetCDF 3 file per step for UVMAT, in metres, with y upwards.
-    Variables are named as by UVMAT's `struct2nc`; its flag ``FF`` is 0 at nodes of the grid that were
-    measured."""
+    Variables are named as by UVMAT's `struct2nc`; its flag ``FF`` is 0 at nodes that were measured."""
     names = {name: theirs for name, (theirs, _) in _UVMAT_ROLES.items() if name in cube}
     out = cube[[*names, "quality"]].reset_coords(drop=True)
     measured = (out.quality & int(Quality.MEASURED)) != 0

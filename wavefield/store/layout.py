@@ -151,9 +151,8 @@ def _add_chunked(group: zarr.Group, layout: StoreLayout, nodes: tuple[int, int],
 def add_array(
     group: zarr.Group, row: Variable, values: np.ndarray | np.generic | None = None, **options: Any
 ) -> None:
-    """Create the array of a variable in a group: filled with `values` in a single chunk, or empty if None.
-    `row` gives its name, type, dimensions and attributes, which `options` of `zarr.Group.create_array`
-    replace."""
+    """Create the array of the variable `row` in a group: with `values` in a single chunk, or empty if None.
+    Name, type, dimensions and attributes are those of `row`, unless `options` replace them."""
     how: dict[str, Any] = {
         "name": row.name,
         "dtype": row.dtype,
@@ -180,8 +179,7 @@ _CHUNK_FILES = {"frame_fault": "c/0/{}", "frame_status": "c/{}"}  # fields have 
 
 @contextmanager
 def named_damage(array: Path) -> Iterator[None]:
-    """Context manager: turn an error from reading damaged bytes of an array into a StoreError.
-    The message names `array`, the path of the array in the store."""
+    """Context manager: turn an error from reading damaged bytes into a StoreError that names the array."""
     try:
         yield
     except StoreError:

@@ -43,8 +43,7 @@ class Thinning:
 
 
 def thinning(group: CubeGroup) -> Thinning:
-    """Return which nodes of the grid and which variables the preview of an open cube contains.
-    A preview has some 2000 nodes at most, and fewer if the cube has over 16 000 steps."""
+    """Return which nodes (about 2000 at most) and variables of an open cube its preview contains."""
     names = tuple(name for name in CUBE_FIELDS if name in group)
     steps, ny, nx = group[names[0]].shape
     most = min(_NODES, max(1, _VALUES // max(steps, 1)))

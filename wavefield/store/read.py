@@ -26,9 +26,7 @@ from wavefield.text import one_line
 
 class CubeStore(LocalStore):
     """The store from which Zarr reads the files of a cube; reading a file that was lost raises StoreError.
-
-    Zarr alone would return missing values. A file whose steps are still to be measured may be absent.
-    """
+    Zarr alone would return missing values. A file whose steps are still to be measured may be absent."""
 
     async def get(self, key: str, *arguments: Any, **keywords: Any) -> Any:
         """Read a file or a part of it (interface of Zarr stores)."""
@@ -60,8 +58,7 @@ class CubeStore(LocalStore):
 
 def _is_expected(root: Path, name: str, place: str) -> bool:
     """Whether the cube `root` should contain the file `place`, such as "3/0/0", of the array `name`.
-    After the end of the run it should contain all files. Before, it should contain those of the axes and of
-    measured chunks of steps, but perhaps not those of ``frame_status``."""
+    Before the end of the run, only those of the axes and of measured chunks are certain to be there."""
     attributes = read_metadata(root)["attributes"]
     if name not in CHUNKED or attributes.get(FINISHED):
         return True

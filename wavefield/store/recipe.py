@@ -60,8 +60,7 @@ class Recipe:
 
     @property
     def hash(self) -> str:
-        """A hash (sixteen hexadecimal digits) of the entries on which the values of the cube depend.
-        They exclude the experiment's name, the learned `record` and the versions of the software."""
+        """A hash (sixteen hexadecimal digits) of the entries on which values depend: all but `_LABELS`."""
         values = {name: value for name, value in asdict(self).items() if name not in _LABELS}
         text = json.dumps(values, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -76,16 +75,14 @@ def _software() -> dict[str, str]:
 
 def differences(old: str, new: str) -> list[str]:
     """Return a line, such as "grid.step: 0.01 there, 0.02 here", for each difference between two recipes.
-    `old` ("there") and `new` ("here") are recipes as JSON text. Entries that are not part of the recipe's
-    hash, such as versions of software, are not compared."""
+    `old` ("there") and `new` are JSON text. Entries that are not part of the hash are not compared."""
     a, b = dict(_leaves(json.loads(old))), dict(_leaves(json.loads(new)))
     keys = [key for key in {**a, **b} if key.partition(".")[0] not in _LABELS and a.get(key) != b.get(key)]
     return [f"{key}: {a.get(key)!r} there, {b.get(key)!r} here" for key in keys]
 
 
 def _leaves(data: object, prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield the key ("grid.step") and the value of every entry of nested mappings.
-    All keys begin with `prefix`."""
+    """Yield the key, such as "grid.step" after `prefix`, and the value of every entry of nested mappings."""
     if isinstance(data, dict):
         for key, value in data.items():
             yield from _leaves(value, f"{prefix}.{key}" if prefix else str(key))
@@ -111,8 +108,7 @@ def state_of(cube: Any) -> str:
 
 
 def check_recipe(path: Path, attributes: Mapping[str, Any], recipe: Recipe) -> None:
-    """Raise StoreError if the cube at `path`, with these attributes, was made with another recipe.
-    The message lists two of the differences."""
+    """Raise StoreError, with two differences, if the cube at `path` was made with another recipe."""
     if attributes["recipe_hash"] == recipe.hash:
         return
     found = differences(str(attributes["recipe"]), recipe.to_json())

@@ -113,9 +113,7 @@ def open_waves(path: str | Path) -> xr.DataTree:
 
 
 def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> None:
-    """Write statistics of camera pairs into the cube at `path`, in place of earlier ones.
-    `statistics` is a Dataset as `read_pair_statistics` returns it, and `state` identifies the steps of the
-    cube that are measured (`state_of`)."""
+    """Write or replace the statistics of camera pairs in a cube, the steps of which have this `state`."""
     attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
     with writing(path / PAIR_GROUP):
         shutil.rmtree(path / PAIR_GROUP, ignore_errors=True)
@@ -127,9 +125,8 @@ def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> Non
 
 def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
     """Load the error statistics of a cube's camera pairs; None if there are none or they were changed.
-    The variables are ``rms`` and ``beyond`` (error), and ``density`` (error, bin); the coordinates
-    ``quantity``, ``cameras`` and ``units`` describe each error. The attribute ``cube_state`` identifies the
-    steps of the cube that were measured when the statistics were made (`state_of`)."""
+    They are ``rms`` and ``beyond`` (error), ``density`` (error, bin), and coordinates that describe each
+    error. The attribute ``cube_state`` is the state of the cube's steps at the time (`state_of`)."""
     path = Path(store) / PAIR_GROUP
     mark = read_mark(path)
     if mark is None or mark.kind != _PAIRS:

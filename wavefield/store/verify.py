@@ -124,8 +124,7 @@ def _damages(
     path: Path, group: CubeGroup, layout: StoreLayout, number: int, read: bool = True
 ) -> Iterator[Damage]:
     """Yield the damage of the chunk `number`, from 0, of a cube; none if no run has written the chunk.
-    With `read` all variables are read. Otherwise only ``frame_status`` is read, and the other variables are
-    checked for missing files."""
+    Without `read` only ``frame_status`` is read, and other variables are checked for missing files."""
     start, stop = layout.chunks()[number]
 
     def damage(name: str) -> Damage:
@@ -149,8 +148,7 @@ def _damages(
 
 
 def missing_chunks(path: Path, layout: StoreLayout) -> list[int]:
-    """Return the first step of each chunk that lost a file after it was written.
-    Chunks in which the status of the steps (``frame_status``) is damaged are included."""
+    """Return the first step of each chunk that lost a file, or whose ``frame_status`` is damaged."""
     group = open_group(path)
     numbered = enumerate(layout.chunks())
     return [

@@ -91,8 +91,7 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
 
 
 def relabel(path: Path, name: str, description: Mapping[str, object]) -> list[str]:
-    """Set the experiment's name and the descriptive attributes of the cube at `path`.
-    `description` holds the values of the attributes in `DESCRIPTION`; those that it lacks are removed.
+    """Set the name and the attributes `DESCRIPTION` of a cube; those that `description` lacks are removed.
     Returns a line for each change, with the old value ("there") and the new value ("here")."""
     labels = {"experiment": name, "title": title(name), **dict.fromkeys(DESCRIPTION), **description}
     there = open_group(path).attrs
@@ -109,8 +108,7 @@ def _write_ledger(path: Path, group: CubeGroup, start: int, frame_status: np.nda
 
 
 def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
-    """Wait until a chunk's files in the arrays `names`, and the folders of these files, are on the disk.
-    `chunk` is the number of the chunk, from 0."""
+    """Wait until the files of the chunk number `chunk`, from 0, in the arrays `names` are on the disk."""
     folders: dict[Path, None] = {}
     for name in names:
         file = chunk_path(path, name, chunk)

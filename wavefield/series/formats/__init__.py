@@ -5,13 +5,7 @@ from pathlib import Path
 
 from wavefield.errors import FrameError
 from wavefield.series.formats.arrays import open_hdf5
-from wavefield.series.formats.recordings import (
-    Recording,
-    open_cine,
-    open_davis,
-    open_photron,
-    open_streampix,
-)
+from wavefield.series.formats.recordings import Recording, open_cine, open_davis, open_photron, open_streampix
 from wavefield.series.formats.video import Video
 from wavefield.text import one_line
 

@@ -27,7 +27,7 @@ SECONDS = {
 
 
 class _Dataset(Recording):
-    """An HDF5 dataset (image, row, column) as a `Recording`; `path` names it in messages."""
+    """An HDF5 dataset (image, row, column) as a `Recording`; its rate is stated or follows from the times."""
 
     def __init__(self, path: Path, file: h5py.File, data: h5py.Dataset) -> None:
         self.path, self._file, self._data = path, file, data
@@ -65,9 +65,7 @@ def _times(data: h5py.Dataset) -> Times:
 
 
 def open_hdf5(path: Path) -> Recording:
-    """Open a stack of images in an HDF5 file; FrameError if the file or the dataset cannot be read.
-    `path` is the file, or file/dataset if the file holds several stacks. The frame rate of the recording is
-    the attribute ``frame_rate``, or else follows from the times."""
+    """Open a stack of images in HDF5: `path` is the file, or file/dataset if it holds several stacks."""
     import h5py
 
     name = next(part for part in (path, *path.parents) if part.suffix.lower() in _ENDINGS)
@@ -84,8 +82,7 @@ def open_hdf5(path: Path) -> Recording:
 
 
 def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
-    """Return a dataset of an open HDF5 file: that named `inside`, or the only stack if `inside` is "".
-    FrameError if there is no such dataset, or several stacks."""
+    """Return the dataset named `inside` of an HDF5 file, or its only stack of images if `inside` is ""."""
     import h5py
 
     series: list[str] = []
@@ -106,9 +103,8 @@ def _chosen(file: h5py.File, path: Path, inside: str) -> h5py.Dataset:
 
 
 class ZarrImages(Recording):
-    """The images in a Zarr array (image, row, column); `path` is a path or a URL.
-    If `path` is that of a group, its array ``image`` is used. FrameError if there is no array, or if it does
-    not have three dimensions."""
+    """The images in a Zarr array (image, row, column), or in the array ``image`` of a group.
+    `path` is a path or a URL. FrameError if there is no such array."""
 
     def __init__(self, path: str) -> None:
         import zarr  # takes long, for the few who have such images

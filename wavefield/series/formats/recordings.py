@@ -93,8 +93,7 @@ class RawRecording(Recording):
 
 
 def usual_intervals(times: Times) -> Times:
-    """Return the intervals between times, s, that differ from the median interval by less than half of it.
-    These are the intervals without dropped images. The array is empty if the median is not positive."""
+    """Return the intervals between times, s, without dropped images: those near the median interval."""
     intervals = np.diff(times)
     middle = float(np.median(intervals)) if len(intervals) else 0.0
     return intervals[np.abs(intervals / middle - 1.0) < 0.5] if middle > 0 else np.empty(0)
@@ -191,7 +190,7 @@ def open_cine(path: Path) -> Recording:
 
 
 def _cine_times(stream: BinaryIO, at_setup: int, at_offsets: int) -> NDArray[np.float64]:
-    """Return the times of the images of an open cine file, (n,), s; empty if the file has none.
+    """Return the times of a cine file's images, (n,), s; empty if the file has none.
     `at_setup` and `at_offsets` are the bytes at which the block SETUP and the list of images begin."""
     stream.seek(at_setup + _CINE_MARK)
     mark = stream.read(4)
@@ -221,8 +220,7 @@ _CIHX_PLACES = {
 
 
 def open_photron(path: Path) -> Recording:
-    """Open a recording of a Photron camera by the path of its .mraw, .cihx or .cih file.
-    FrameError if the pixels (.mraw) or the header are missing or damaged, or if the images are not grey."""
+    """Open a recording of a Photron camera by the path of its .mraw, .cihx or .cih file."""
     note = _with_ending(path, ".cihx", ".cih", ".CIHX", ".CIH")
     if note is None:
         raise FrameError(f"{path} has no .cihx or .cih next to it, which states how large its images are")
@@ -331,8 +329,7 @@ class _DavisSet(Recording):
 
 
 def open_davis(path: Path) -> Recording:
-    """Open a DaVis set, ``run.set``, or ``run.set/1`` for the second image of each of its buffers.
-    FrameError if there are no buffers (.im7 files) or no such image in them."""
+    """Open a DaVis set, ``run.set``, or ``run.set/1`` for the second image of each buffer (.im7 file)."""
     name = path if path.suffix.lower() == ".set" else path.parent
     folder = name.with_suffix("")
     buffers = _buffers_in_order(list(folder.glob("*.im7")))

@@ -19,8 +19,7 @@ UNTIMED = (".avi",)  # containers without presentation times: compressed frames 
 
 
 class Video(Recording):
-    """The frames of a video as a `Recording`; frames that the container marks as not shown are left out.
-    FrameError if the file cannot be read as a video."""
+    """The frames of a video as a `Recording`; frames that the container marks as not shown are left out."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
