@@ -10,8 +10,8 @@ from cube_cases import HERE
 from wavefield.commands.cli import main
 from wavefield.errors import ExperimentError, StoreError
 from wavefield.images import read_image, write_image
-from wavefield.pipeline import Workflow, catalog_add, check, run, run_catalog, status
-from wavefield.pipeline.catalog import find_experiment
+from wavefield.pipeline import Workflow, check, run, run_catalog, status
+from wavefield.pipeline.catalog import catalog_add, find_experiment
 from wavefield.store.ledger import BadFrames
 from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
 

@@ -24,7 +24,7 @@ class CommandSource:
 
     def is_catalog(self) -> bool:
         """Return whether the path is a catalog. UsageError if it is not, but runs or parameters are given."""
-        from wavefield.pipeline import is_catalog
+        from wavefield.pipeline.catalog import is_catalog
 
         if self.path.is_file() and is_catalog(self.path):
             return True

@@ -6,7 +6,7 @@ import difflib
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,7 +15,7 @@ from wavefield.commands.progress import Progress, command_line, print_next
 from wavefield.commands.sources import JSON, PATH, RIG, experiment_file
 
 if TYPE_CHECKING:
-    from wavefield.pipeline import Check
+    from wavefield.pipeline.checking import Check
     from wavefield.pipeline.prepare import PreparedRun
     from wavefield.series import Experiment
 
@@ -125,9 +125,7 @@ def _pairs_table(prepared: PreparedRun) -> str:
     middle = len(next(iter(prepared.series.values()))) // 2
     steps = min(len(prepared.series[name]) for name in prepared.geometry.cameras) - 1
 
-    def read(camera: str, frame: int) -> Any:
-        return prepared.series[camera].read_uncovered(frame)
-
+    read = prepared.read_uncovered
     found = diagnose_around(read, steps, prepared.geometry, prepared.model, middle, pixel)
     if found is None:
         return "  pairs: no step around the middle of the record has a usable frame of every camera"

@@ -63,11 +63,11 @@ def calibrate(context: click.Context, experiment: Path, output: Path | None, any
             context.exit(1)
     rig = calibration.rig
     if loaded.rest and calibration.usable:
-        from wavefield.pipeline.still_water import level_at_rest, plane_sentence
+        from wavefield.pipeline.prepare import level_at_rest
 
         with Progress("Matching the still-water images", "frames") as progress:
-            rig, found, plane = level_at_rest(loaded.at_rest(), rig, progress=progress)
-        click.echo(f"{found.sentence}\n{plane_sentence(plane)}")
+            rig, found = level_at_rest(loaded.at_rest(), rig, progress=progress)
+        click.echo(found)
     for sentence in rig_sentences(rig):
         click.echo(sentence)
     rig.save(output, source)
@@ -156,15 +156,15 @@ def refine(experiment: Path, rig: Path | None, output: Path, frames: int) -> Non
     has moved since the calibration, rotates it so that sight lines meet again, moves z = 0 to the plane of
     the water, and writes the new rig.
     """
-    from wavefield.pipeline.still_water import level_at_rest, plane_sentence
+    from wavefield.pipeline.prepare import level_at_rest
     from wavefield.series import Experiment
 
     _check_output(output, experiment, rig)
     loaded = Experiment.load(experiment)
     with Progress("Matching the cameras", "frames") as progress:
         still = loaded.at_rest() if loaded.rest else loaded
-        refined, found, plane = level_at_rest(still, rig, frames, progress)
-    _save(refined, output, experiment, f"{found.sentence}\n{plane_sentence(plane)}")
+        refined, found = level_at_rest(still, rig, frames, progress)
+    _save(refined, output, experiment, found)
 
 
 def _save(rig: "Rig", output: Path, experiment: Path, found: str) -> None:

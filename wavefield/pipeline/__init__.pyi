@@ -1,8 +1,8 @@
 # The public names and their modules: read by type checkers, and by __init__.py, which imports on first use.
 from wavefield.execution.workflow import Workflow
 from wavefield.pipeline.analysis import analyze_on_workers
-from wavefield.pipeline.catalog import catalog_add, is_catalog, run_catalog
-from wavefield.pipeline.checking import Check, check
+from wavefield.pipeline.catalog import run_catalog
+from wavefield.pipeline.checking import check
 from wavefield.pipeline.lazy import reconstruct
 from wavefield.pipeline.opened_run import Run, open_run
 from wavefield.pipeline.running import run
@@ -11,15 +11,12 @@ from wavefield.store.export import export
 from wavefield.store.ledger import Status, status
 
 __all__ = [
-    "Check",
     "Run",
     "Status",
     "Workflow",
     "analyze_on_workers",
-    "catalog_add",
     "check",
     "export",
-    "is_catalog",
     "open_cube",
     "open_run",
     "reconstruct",

@@ -42,38 +42,10 @@ _PARAMETERS = ("run", "recipe", "location")
 
 
 def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = None) -> str:
-    """Add an experiment to a catalog as a run; the catalog is created if it does not exist.
-
-    A cube ``cube.zarr`` next to the experiment file is added, too.
-
-    Parameters
-    ----------
-    catalog : path
-        Intake catalog, a YAML file.
-    experiment : path
-        Experiment file.
-    name : str, optional
-        Name of the run; by default the name of the experiment.
-
-    Returns
-    -------
-    str
-        Name of the run.
-
-    Raises
-    ------
-    ExperimentError
-        If the experiment file is wrong, or the catalog has another run of that name.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file, catalog = Path(folder) / "experiment.yaml", Path(folder) / "tank.yaml"
-    ...     _ = file.write_text("{name: basin, frame_rate: 20, cameras: {left: 'left/{frame}.tif'}}")
-    ...     catalog_add(catalog, file), catalog_add(catalog, file, "again"), runs_of(catalog)
-    ('basin', 'again', ['basin', 'again'])
-    """
+    """Add an experiment file to a catalog as a run, and return the name of the run.
+    A catalog that does not exist is created. ``name`` is by default the name of the experiment. A cube
+    ``cube.zarr`` next to the experiment file is added, too. ExperimentError if the catalog has another run
+    of that name."""
     from wavefield.series import Experiment
 
     catalog = Path(catalog).absolute()
@@ -128,18 +100,7 @@ def _allow(catalog: Path, data: Mapping[str, Any], parameter: str, value: str) -
 
 
 def is_catalog(path: str | Path) -> bool:
-    """Return whether a YAML file is an intake catalog, not an experiment.
-
-    Parameters
-    ----------
-    path : path
-        YAML file.
-
-    Returns
-    -------
-    bool
-        True if it has the key ``entries``.
-    """
+    """Return whether a YAML file has the key ``entries``: it is an intake catalog, not an experiment."""
     return "entries" in read_yaml(Path(path))
 
 
@@ -194,7 +155,13 @@ def run_catalog(
     for number, run in enumerate(runs, 1):
         chosen = {"run": run, **(parameters or {})}
         prepared = prepare(find_experiment(path, chosen), rig, workflow)
-        store = Path(out).absolute() if out is not None else _new_cube(path, run, prepared.recipe.hash[:8])
+        if out is None:
+            recipe = prepared.recipe.hash[:8]
+            with _editing(path) as data:
+                _allow(path, data, "recipe", recipe)
+            store = cube_of(path, {"run": run, "recipe": recipe})
+        else:
+            store = Path(out).absolute()
         told = _named(progress, f"{run} ({number} of {len(runs)})")
         with locked(store), open_cluster(prepared.workflow, jobs_folder(store), MEASURING) as mapped:
             done.append(process(prepared, store, mapped, told))
@@ -268,13 +235,6 @@ def find_cube(catalog: str | Path, run: str | None = None) -> Path:
     if len(existing) > 1:
         raise ExperimentError(f"{path} has the cubes of {', '.join(existing)}; name one of these runs")
     return next(iter(existing.values()))
-
-
-def _new_cube(catalog: Path, run: str, recipe: str) -> Path:
-    """Add the hash ``recipe`` to a catalog, and return the path at which the cube of a run is written."""
-    with _editing(catalog) as data:
-        _allow(catalog, data, "recipe", recipe)
-    return cube_of(catalog, {"run": run, "recipe": recipe})
 
 
 def _link_latest(folder: Path) -> None:

@@ -142,56 +142,24 @@ class CameraCheck:
 
 @dataclass(frozen=True)
 class Check:
-    """Result of `check`: what it found, and the estimated cost of the run.
+    """What `check` found, and the estimated cost of the run.
+    Fields that are unknown, because the rig is not usable or a run cannot start, are None or empty."""
 
-    Fields that are unknown, because the rig is not usable or a run cannot start, are None or empty.
-
-    Parameters
-    ----------
-    experiment : str
-        Name of the experiment.
-    path : path
-        Experiment file.
-    steps : int
-        Number of steps of the whole run (a step is the interval between two frames).
-    frame_rate : float
-        Hz.
-    cameras : tuple of CameraCheck
-        Frames of every camera.
-    rig : tuple of str
-        Names of the rig's cameras.
-    grid : Grid or None
-        Nodes of the cube.
-    coverage : float or None
-        Fraction of the nodes that all measuring cameras see if the water is at rest.
-    measured : float or None
-        Fraction of the nodes in view that were measured in the trial steps.
-    cost : Cost or None
-        Estimate for the run.
-    problems : tuple of str
-        Reasons why a run cannot start.
-    verdict : Verdict or None
-        Remarks on frames, cameras, rig, grid and probes.
-    motion, heights, clocks : str
-        Sentences on the displacement of the water between frames, the range of elevations, and the delays
-        between cameras.
-    """
-
-    experiment: str
-    path: Path
-    steps: int
-    frame_rate: float
-    cameras: tuple[CameraCheck, ...]
-    rig: tuple[str, ...]
-    grid: Grid | None
-    coverage: float | None
-    measured: float | None
-    cost: Cost | None
-    problems: tuple[str, ...]
-    verdict: Verdict | None
-    motion: str = ""
-    heights: str = ""
-    clocks: str = ""
+    experiment: str  # Name of the experiment
+    path: Path  # Experiment file
+    steps: int  # Steps of the whole run; a step is the interval between two frames
+    frame_rate: float  # Hz
+    cameras: tuple[CameraCheck, ...]  # Frames of every camera
+    rig: tuple[str, ...]  # Names of the rig's cameras
+    grid: Grid | None  # Nodes of the cube
+    coverage: float | None  # Fraction of the nodes that all measuring cameras see if the water is at rest
+    measured: float | None  # Fraction of the nodes in view that were measured in the trial steps
+    cost: Cost | None  # Estimate for the run
+    problems: tuple[str, ...]  # Reasons why a run cannot start
+    verdict: Verdict | None  # Remarks on frames, cameras, rig, grid and probes
+    motion: str = ""  # A sentence on the displacement of the water between frames
+    heights: str = ""  # A sentence on the range of elevations
+    clocks: str = ""  # A sentence on the delays between cameras
 
     @property
     def exit_status(self) -> int:

@@ -4,7 +4,7 @@ Rigs, grids and elevations whose values cannot be metres raise errors.
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -300,6 +300,32 @@ class _SampleImages:
         if frame in self.steps:
             self._shared[name, frame] = flat
         return flat
+
+
+def level_at_rest(
+    experiment: Experiment,
+    rig: str | Path | Rig | None = None,
+    frames: int = 10,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Rig, str]:
+    """Correct a rig with images of still, seeded water, and level it so that z = 0 is the water.
+    ``rig`` replaces the rig of the experiment, and ``frames`` is the number of frames that are matched.
+    ``progress`` is called with the numbers of frames done and of all frames. Returns the corrected rig, and
+    sentences on the errors of the given rig and on the plane of the water in its coordinates."""
+    from wavefield.calibration.still_water import refine_and_level
+    from wavefield.measurement.elevation import matched_pixels
+
+    prepared = prepare(experiment, rig)
+    sample = evenly_spaced(prepared.steps + 1, frames)
+    matches = matched_pixels(
+        lambda camera, frame: prepared.series[camera].read(frame).image, sample, prepared.geometry, progress
+    )
+    levelled, found, plane = refine_and_level(prepared.rig, matches)
+    return levelled, (
+        f"{found.sentence}\n"
+        f"The water's plane: {1e3 * plane.height:+.3f} mm at the origin, slope {1e3 * plane.slope[0]:+.3f}, "
+        f"{1e3 * plane.slope[1]:+.3f} mrad along x, y; rms about it {1e3 * plane.rms:.3f} mm."
+    )
 
 
 def load_files(
