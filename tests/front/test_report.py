@@ -23,7 +23,7 @@ from wavefield.variables import CUBE_FIELDS, Quality
 
 def run_of(cube, **parts):
     """Return the run of a cube in memory, with only the given waves and files."""
-    run = Run(cube, *(Path("nowhere") / name for name in ("cube.zarr", "waves.zarr", "experiment.yaml")))
+    run = Run(cube, *(Path("nowhere") / name for name in ("cube.zarr", "experiment.yaml")))
     vars(run).update({"pair_statistics": None} | parts)
     return run
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from wavefield.errors import WavefieldError
 from wavefield.figures.display import BALANCE, DERIVED
-from wavefield.store import beside
 from wavefield.store.layout import MISSING
 from wavefield.store.preview import read_steps, read_thinned, thinning
 from wavefield.store.read import open_group, read_array, read_layout
@@ -159,7 +158,6 @@ class LookSession:
 
     def __init__(self, path: str | Path) -> None:
         self.record = CubeRecord(path)
-        self.waves_path = beside(self.record.path, "waves", ".zarr")
 
     @cached_property
     def run(self) -> "Run":
@@ -172,7 +170,7 @@ class LookSession:
         coords = {name: getattr(record, name) for name in CUBE_DIMS}
         status = {"frame_status": ("time", record.ledger)}  # `Run` checks the waves against it
         axes = xr.Dataset(status, coords, dict(record.group.attrs))
-        return Run(axes, record.path, self.waves_path)
+        return Run(axes, record.path)
 
     def load(self) -> threading.Thread:
         """Start to read the thinned copy of the cube in a thread; return the thread."""

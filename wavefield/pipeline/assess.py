@@ -39,8 +39,8 @@ from wavefield.variables import FrameStatus, Quality
 MAX_SAMPLED = 12  # steps of a cube that are assessed after its run
 
 
-def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> cameras.CameraFaults:
-    """Compare the images of the cameras at a few frames of the record, and return faults of the cameras.
+def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> Verdict:
+    """Compare the images of the cameras at a few frames of the record, and return the verdict on the cameras.
     ``quality`` (n, ny, nx) is the variable of the cube at some steps. If all cameras together measured most
     nodes there, no remark says that a camera matches no other."""
     count = prepared.steps + 1
@@ -99,7 +99,7 @@ def assess_run(prepared: PreparedRun, status: Status) -> Verdict:
     sample = sample.isel(time=evenly_spaced(status.steps, MAX_SAMPLED)).load()
     faults = compare_cameras(prepared, sample.quality.values)
     kept = [*faults.remarks]
-    if not any(one.weight == "grave" for one in kept):
+    if faults.weight != "grave":
         frames = [1 + k for k in _sampled(prepared.steps - 1)]
         kept += camera_motion.remarks_on_clocks(measure_synchrony(prepared, cube, frames))
         kept += camera_motion.remarks_on_mounts(cube)

@@ -309,7 +309,7 @@ def check(
     delays = ""
     if trial and faults:
         every += faults.remarks
-        if not any(one.weight == "grave" for one in faults.remarks):
+        if faults.weight != "grave":
             found = _synchrony(trial)
             delays = camera_motion.spell_delays(found.delays)
             every += [*camera_motion.remarks_on_clocks(found), *remarks_on_fields(trial.fields)]

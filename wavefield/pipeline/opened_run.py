@@ -155,20 +155,19 @@ class Run:
         The cube, lazy.
     store : path
         Store of the cube.
-    waves_path : path
-        Store of the cube's waves, which may not exist.
     experiment_path : path, optional
         Experiment file, by default the one next to the cube or the original one.
-    truth_path : path, optional
-        Store of a simulation's exact fields, by default ``truth/truth.zarr`` next to the experiment file.
     """
 
     cube: xr.Dataset
     store: Path = Path()
-    waves_path: Path = Path()
     experiment_path: Path | None = None
-    truth_path: Path | None = None
     _reasons: dict[str, str] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def waves_path(self) -> Path:
+        """Store of the cube's waves, next to the cube, where `analyze` writes it; it may not exist."""
+        return beside(self.store, "waves", ".zarr")
 
     def reason(self, name: str) -> str:
         """Return why an attribute of the run, such as "waves", is absent; an empty text if it is present."""
@@ -264,8 +263,7 @@ class Run:
     def truth(self) -> xr.Dataset | None:
         """Exact elevation and velocity of a simulated experiment, lazy; None if there are none."""
         file = self.experiment_path or _named(self.store, self.cube.attrs, "experiment_file")
-        folder = (self.experiment.path if self.experiment else file).parent
-        path = self.truth_path or folder / "truth" / "truth.zarr"
+        path = (self.experiment.path if self.experiment else file).parent / "truth" / "truth.zarr"
         if not path.is_dir():
             self._reasons["truth"] = f"the experiment is not simulated, or its exact fields are not in {path}"
             return None
@@ -297,26 +295,15 @@ class Run:
             return absent
 
 
-def open_run(
-    store: str | Path,
-    *,
-    waves: str | Path | None = None,
-    experiment: str | Path | None = None,
-    truth: str | Path | None = None,
-) -> Run:
+def open_run(store: str | Path, *, experiment: str | Path | None = None) -> Run:
     """Open a cube together with what it was made from and what was computed from it.
 
     Parameters
     ----------
     store : path
         Cube written by `run`, or a folder that contains one.
-    waves : path, optional
-        Store of the cube's waves; by default next to the cube, where `analyze` writes it.
     experiment : path, optional
         Experiment file; by default the file next to the cube, or else the file that was run.
-    truth : path, optional
-        Store of the exact fields of a simulation; by default ``truth/truth.zarr`` in the folder of the
-        experiment file.
 
     Returns
     -------
@@ -358,11 +345,4 @@ def open_run(
     store = find_store(store)
     from wavefield.store.cube import open_cube  # imports xarray, which a run needs only at its end
 
-    cube = open_cube(store)
-    return Run(
-        cube,
-        store,
-        Path(waves) if waves is not None else beside(store, "waves", ".zarr"),
-        Path(experiment) if experiment is not None else None,
-        Path(truth) if truth is not None else None,
-    )
+    return Run(open_cube(store), store, Path(experiment) if experiment is not None else None)

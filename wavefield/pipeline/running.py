@@ -101,23 +101,12 @@ def run(
     Two steps of a small simulated tank, in this process.
 
     >>> import tempfile
-    >>> from wavefield.images import write_image
-    >>> from wavefield.store.cube import open_cube
-    >>> from wavefield.tank import Scene, Tank
-    >>> tank = Tank(Scene.load("demo").with_(rig={"crop": 0.12}, sea={"shortest": 0.15}))
-    >>> note = "{name: a, frame_rate: 20, rig: rig.yaml, grid: {x: [-.04, .04], y: [-.06, .06], step: .01}"
+    >>> from wavefield.tank import Scene, simulate
+    >>> scene = Scene.load("demo").with_(rig={"crop": 0.15}, frames=3, sea={"shortest": 0.15})
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     tank.rig.save(Path(folder) / "rig.yaml")
-    ...     for number in range(3):
-    ...         for camera, image in tank.render(number).items():
-    ...             write_image(Path(folder) / camera / f"{number}.tif", image)
-    ...     file = Path(folder) / "experiment.yaml"
-    ...     cameras = ", ".join(f"{name}: '{name}/{{frame}}.tif'" for name in tank.rig)
-    ...     _ = file.write_text(f"{note}, cameras: {{{cameras}}}}}")
-    ...     found = run(file, workflow=Workflow(cluster="none"))
-    ...     shape = open_cube(file.with_name("cube.zarr")).z.shape
-    >>> found.complete, shape
-    (True, (2, 13, 9))
+    ...     found = run(simulate(scene, folder), rig=scene.build_rig(), workflow=Workflow(cluster="none"))
+    >>> found.complete, found.steps
+    (True, 2)
     """
     experiment, workflow = load_files(experiment, workflow)
     path = Path(out if out is not None else experiment.resolve("cube.zarr")).absolute()

@@ -30,7 +30,7 @@ from wavefield.measurement.velocity import MIN_NODES
 from wavefield.quality.cameras import MIN_PATCHES, SIDE, Array, Pair, Read, rms_over_field, scaled
 from wavefield.quality.remarks import CELLS, GRAVE_EPS_Y, MAX_EPS_Y, MAX_SAMPLES, SIGNIFICANCE
 from wavefield.robust import robust_std
-from wavefield.store.verdict import Remark
+from wavefield.store.verdict import Remark, Weight
 
 if TYPE_CHECKING:
     from wavefield.measurement import GridGeometry
@@ -189,12 +189,20 @@ def delays(
     """Measure the delays of cameras and of image rows; the result is empty if the fit of a pair fails.
     ``read(camera, frame)`` returns an image or None. ``displacement(frame)`` returns the displacement of the
     water at the grid nodes, (3, ny, nx), metres per frame, NaN where unknown. ``rate`` is in Hz."""
+    from wavefield.measurement.images import prepare, ready, usable
+
+    widths = dict(record.beads)
     pair_delays: dict[Pair, tuple[float, float]] = {}
     row_times: list[tuple[float, float]] = []
     speeds: list[float] = []
 
     def samples_at(frame: int) -> list[Sample | None]:
-        flat = _prepared(read, frame, geometry, dict(record.beads))
+        flat = {}
+        for name in geometry.surface_cameras:
+            image = read(name, frame)
+            if image is not None and usable(image, geometry.rig[name].size):
+                even = ready(image, geometry.sights[name].binning, widths[name])
+                flat[name] = prepare(even, name, geometry)
         moved = displacement(frame)
         return [sample(geometry, pair, flat, moved) for pair in geometry.pairs]
 
@@ -221,22 +229,6 @@ def delays(
     return Synchrony(_camera_delays(pair_delays, rate), rate * float(np.median(speeds)), readout, rows)
 
 
-def _prepared(
-    read: Read, frame: int, geometry: "GridGeometry", widths: Mapping[str, float]
-) -> dict[str, Any]:
-    """Return the images of one frame by camera, filtered for matching; missing and bad images are left out.
-    ``widths`` is the width of the beads in each camera's images, px."""
-    from wavefield.measurement.images import prepare, ready, usable
-
-    out = {}
-    for name in geometry.surface_cameras:
-        image = read(name, frame)
-        if image is not None and usable(image, geometry.rig[name].size):
-            flat = ready(image, geometry.sights[name].binning, widths[name])
-            out[name] = prepare(flat, name, geometry)
-    return out
-
-
 def _camera_delays(found: Mapping[Pair, tuple[float, float]], rate: float) -> dict[str, Delay]:
     """Convert the delays between cameras to a delay of each camera, s; ``rate`` is the frame rate, Hz.
     ``found`` holds, by pair (reference camera, other camera), the delay of the other camera and its standard
@@ -259,16 +251,14 @@ def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
     for name, one in found.delays.items():
         off, word = abs(one.seconds) * found.speed, "later" if one.seconds > 0 else "earlier"
         if abs(one.seconds) > SIGNIFICANCE * one.std and off > MAX_EPS_Y:
-            yield Remark(
-                name,
-                "delayed",
-                "remark",
+            sentence = (
                 f"its frames are taken {1e3 * abs(one.seconds):.3f} ms {word} than the others' "
-                f"(+- {1e3 * one.std:.3f} ms)",
-                f"The water moves {off:.2f} px in that time: z is wrong by about as much",
-                "Trigger all cameras by one signal, with the same exposure time",
-                {"delay": one.seconds, "std": one.std, "px": off},
+                f"(+- {1e3 * one.std:.3f} ms)"
             )
+            means = f"The water moves {off:.2f} px in that time: z is wrong by about as much"
+            remedy = "Trigger all cameras by one signal, with the same exposure time"
+            values = {"delay": one.seconds, "std": one.std, "px": off}
+            yield Remark(name, "delayed", "remark", sentence, means, remedy, values)
     if found.row_time is None:
         return
     late, std = found.rows * abs(found.row_time.seconds), found.rows * found.row_time.std
@@ -308,13 +298,6 @@ class CameraMotion:
     steps: NDArray[np.intp]  # (n,): Steps with enough measured nodes
     coefficients: Array  # (n, 3), px: eps_y at mid-field; its change from there to the right and upper edge
     std: Array  # (n, 3): Standard uncertainty of the coefficients, px
-
-
-class Knock(NamedTuple):
-    """A sudden turn of a camera within the record."""
-
-    frame: int  # First frame after the knock (index in the record)
-    size: float  # Change of eps_y, rms over the field, px
 
 
 def camera_motion(cube: xr.Dataset) -> CameraMotion:
@@ -368,8 +351,9 @@ def find_jump(series: Array) -> int | None:
     return int(cuts[best])
 
 
-def find_knock(found: CameraMotion) -> Knock | None:
-    """Return the frame and the size of the largest jump of eps_y between steps; None without a jump."""
+def find_knock(found: CameraMotion) -> tuple[int, float] | None:
+    """Find the largest jump of eps_y between steps, which shows that a camera was knocked; None without one.
+    Returns the index in the record of the first frame after the jump, and its rms over the field, px."""
     at = find_jump(found.coefficients)
     if at is None:
         return None
@@ -378,13 +362,13 @@ def find_knock(found: CameraMotion) -> Knock | None:
     along = (found.coefficients[near] - before) @ change / float(change @ change)
     # eps_y of a step is the mean of its two frames: in the step of the knock it has made half of the change
     frame = int(found.steps[near][np.argmax(along > 0.75)])
-    return Knock(frame, rms_over_field(change))
+    return frame, rms_over_field(change)
 
 
-def vibration_rms(found: CameraMotion, knocked: Knock | None) -> tuple[float, float]:
+def vibration_rms(found: CameraMotion, knocked: int | None = None) -> tuple[float, float]:
     """Return the rms of the fits of eps_y about their mean over the steps, and its standard uncertainty, px.
-    The steps before and after the knock ``knocked`` each have a mean. The noise of the fits is removed."""
-    cut = np.searchsorted(found.steps, knocked.frame) if knocked else 0
+    The steps before and after the frame ``knocked`` each have a mean. The noise of the fits is removed."""
+    cut = 0 if knocked is None else np.searchsorted(found.steps, knocked)
     halves = found.coefficients[:cut], found.coefficients[cut:]
     parts = [part - part.mean(axis=0) for part in halves if len(part)]
     rest = np.concatenate(parts)
@@ -400,28 +384,19 @@ def remarks_on_mounts(cube: xr.Dataset) -> Iterator[Remark]:
     found = camera_motion(cube)
     if len(found.steps) < 2 * MIN_STEPS_PER_SIDE:
         return
-    one = find_knock(found)
-    if one is not None:
-        frame = int(cube.frame[0]) + one.frame
-        yield Remark(
-            "rig",
-            "moved",
-            "grave" if one.size > GRAVE_EPS_Y else "remark",
-            f"the epipolar error grows by {one.size:.2f} px at frame {frame}",
-            f"A camera was knocked between frames {frame - 1} and {frame}: z is wrong by as much or more "
-            "from there on",
-            "Run the two parts separately (`frames: {first, last}`), the second with a rig corrected by "
-            "`wavefield refine`; `check` of the second part names the camera",
-            {"frame": frame, "px": one.size},
-        )
-    rms, std = vibration_rms(found, one)
+    knocked, size = find_knock(found) or (None, 0.0)
+    if knocked is not None:
+        frame = int(cube.frame[0]) + knocked
+        sentence = f"the epipolar error grows by {size:.2f} px at frame {frame}"
+        means = f"A camera was knocked between frames {frame - 1} and {frame}: z is wrong by as much or more "
+        means += "from there on"
+        remedy = "Run the two parts separately (`frames: {first, last}`), the second with a rig corrected by "
+        remedy += "`wavefield refine`; `check` of the second part names the camera"
+        weight: Weight = "grave" if size > GRAVE_EPS_Y else "remark"
+        yield Remark("rig", "moved", weight, sentence, means, remedy, {"frame": frame, "px": size})
+    rms, std = vibration_rms(found, knocked)
     if rms > max(MAX_EPS_Y, SIGNIFICANCE * std):
-        yield Remark(
-            "cameras",
-            "vibration",
-            "remark",
-            f"the epipolar error varies by {rms:.3f} +- {std:.3f} px rms from step to step",
-            "A camera tilts or rolls on its mount: z and velocities are wrong by about as much",
-            "Stiffen the mounts and keep carriages, pumps and people away",
-            {"px": rms, "std": std},
-        )
+        sentence = f"the epipolar error varies by {rms:.3f} +- {std:.3f} px rms from step to step"
+        means = "A camera tilts or rolls on its mount: z and velocities are wrong by about as much"
+        remedy = "Stiffen the mounts and keep carriages, pumps and people away"
+        yield Remark("cameras", "vibration", "remark", sentence, means, remedy, {"px": rms, "std": std})

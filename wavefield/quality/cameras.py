@@ -1,4 +1,4 @@
-"""Find cameras that contradict the others, and the cause: mirrored, swapped, late, blurred, covered, moved.
+"""Find cameras that contradict the others, and the cause: mirrored, swapped, late, blurred, moved.
 
 Square patches of the images are resampled on the plane of the water at rest. Every pair of cameras is
 compared by normalised correlation at a few frames. A point at height z appears displaced along the parallax
@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 from wavefield.grid import Grid
 from wavefield.matching.patch_shifts import locate
-from wavefield.quality.remarks import GRAVE_EPS_Y, MAX_EPS_Y, MAX_LOST, SIGNIFICANCE
+from wavefield.quality.remarks import GRAVE_EPS_Y, MAX_EPS_Y, SIGNIFICANCE
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_at, pixel_size
 from wavefield.rig.stereo import parallax
 from wavefield.robust import PER_MEDIAN
-from wavefield.store.verdict import Remark
+from wavefield.store.verdict import Remark, Verdict
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -63,12 +63,8 @@ class PatchMatcher:
 
     def __post_init__(self) -> None:
         self.pixel = float(pixel_size(self.rig, self.grid))
-        self.x, self.y = self._places()
         self.pixels_of_patches = cache(self._pixels_of_patches)
         self.patches = cache(self.sampled)
-
-    def _places(self) -> tuple[Array, Array]:
-        """Return x and y of the centres of the patches in the area that all cameras see, each (n,), m."""
         pitch = SIDE * self.pixel
         limits = (self.grid.x, self.grid.y)
         x, y = (np.arange(low + pitch / 2, high - pitch / 2 + 1e-9, pitch) for low, high in limits)
@@ -79,7 +75,7 @@ class PatchMatcher:
                 visible &= camera.sees(X + a * pitch, Y + b * pitch, 0.0)
         chosen = np.flatnonzero(visible)
         chosen = chosen[np.linspace(0, max(len(chosen) - 1, 0), min(MAX_PATCHES, len(chosen))).astype(int)]
-        return X[chosen], Y[chosen]
+        self.x, self.y = X[chosen], Y[chosen]  # (n,): centres of the patches, m
 
     def _pixels_of_patches(self, name: str) -> tuple[Image, Image]:
         """Return columns and rows, in a camera's image, of all pixels of patches: (n WHOLE, WHOLE) each."""
@@ -156,12 +152,11 @@ class PairConsistency:
 
 
 def agreement(
-    patch_matcher: PatchMatcher, pair: Pair, moved: Array | None, ground: NDArray[np.bool_] | None = None
+    patch_matcher: PatchMatcher, pair: Pair, moved: Array | None, ground: NDArray[np.bool_]
 ) -> PairConsistency:
     """Return how well two cameras agree, from the displacements ``moved`` (n, 2) that `compare` returned.
-    ``ground`` (n,) is True for the patches that count; by default all."""
+    ``ground`` (n,) is True for the patches that count."""
     n = len(patch_matcher.x)
-    ground = np.ones(n, bool) if ground is None else ground
     if moved is None or not ground.any():
         return PairConsistency(0.0, np.zeros(0), np.zeros(3), np.zeros(0, np.intp), np.zeros(0))
     along, length = patch_matcher.parallax(pair)
@@ -218,8 +213,8 @@ class ConsistencyTable:
         (a, b), (first, second) = pair, images or pair
         one = self.patch_matcher.patches(first, frame, a)
         found = compare(one, self.patch_matcher.patches(second, frame + later, b, change))
-        ground = self.grounds[frame][first] if first == a else None
-        if not change and second == b and ground is not None:
+        ground = self.grounds[frame][first] if first == a else np.ones(len(self.patch_matcher.x), bool)
+        if first == a and second == b and not change:
             ground = ground & self.grounds[frame][second]
         return agreement(self.patch_matcher, pair, found, ground)
 
@@ -248,32 +243,21 @@ def blur(image: NDArray[np.generic] | None) -> float:
     return float(np.mean(sizes)) if sizes else float("nan")
 
 
-@dataclass(frozen=True)
-class CameraFaults:
-    """Result of `find_camera_faults`: the faults, and how well each pair of cameras agrees."""
-
-    remarks: tuple[Remark, ...]  # Faults found
-    # By pair ("left-right"): lists over the frames, ``agreement`` (fraction of matched patches) and ``eps_y``
-    # (rms over the field of the linear fit, px)
-    pairs: Mapping[str, Mapping[str, list[float]]]
-    frames: tuple[int, ...]  # Indices of the frames that were compared
-
-
 def find_camera_faults(
     patch_matcher: PatchMatcher, count: int, frames: Sequence[int], threads: int = 1
-) -> CameraFaults:
-    """Compare the cameras with each other at ``frames`` of a record of ``count`` frames, and return faults.
+) -> Verdict:
+    """Compare the cameras with each other at ``frames`` of a record of ``count`` frames, and return a verdict.
     Frames that a camera lacks are skipped. There are no remarks for one camera, or if the area that all
     cameras see is too small."""
     names = list(patch_matcher.rig)
     complete = tuple(k for k in frames if all(patch_matcher.read(name, k) is not None for name in names))
     if len(patch_matcher.x) < MIN_PATCHES or not complete or len(names) < 2:
-        return CameraFaults((), {}, complete)
+        return Verdict((), {}, complete)
     table = ConsistencyTable(patch_matcher, names, complete, threads)
-    remarks = [*_covered(table), *_blurred(table)]
+    remarks = list(_blurred(table))
     inconsistent, explained = _inconsistent(table, count)
     own = {remark.subject: remark for remark in remarks}
-    explained = [  # blur or cover explains why a camera matches no other
+    explained = [  # blur explains why a camera matches no other
         replace(own[one.subject], weight="grave") if one.kind == "disagree" and one.subject in own else one
         for one in explained
     ]
@@ -286,27 +270,7 @@ def find_camera_faults(
         }
         for pair, found in table.found.items()
     }
-    return CameraFaults(tuple(remarks), pairs, complete)
-
-
-def _covered(table: ConsistencyTable) -> Iterator[Remark]:
-    """Yield remarks on cameras without texture in a part of the field where most others see texture."""
-    for name in table.names:
-        covered = []
-        for ground in table.grounds.values():
-            others = np.mean([ground[other] for other in table.names if other != name], axis=0) > 0.5
-            covered.append((others & ~ground[name]).sum() / max(others.sum(), 1))
-        fraction = float(np.median(covered))
-        if fraction > MAX_LOST:
-            yield Remark(
-                name,
-                "covered",
-                "grave" if fraction > 0.5 else "remark",
-                f"its images have no texture in {100 * fraction:.0f} % of the field that the others see",
-                "That part is measured by the other cameras, or not at all",
-                "Remove objects in front of it and check the light; draw fixed objects as a `mask:`",
-                {"fraction": fraction},
-            )
+    return Verdict(remarks, pairs, complete)
 
 
 def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
@@ -322,15 +286,12 @@ def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
         # a camera with smaller pixels shows beads over more pixels without being blurred
         wider = min(width / max(usual, 1e-9), width * pixels[name] / max(on_water, 1e-12))
         if wider > MAX_BLUR_RATIO and width > 1.0:
-            yield Remark(
-                name,
-                "blurred",
-                "remark",
-                f"its images are blurred by {width:.1f} px, those of the other cameras by {usual:.1f} px",
-                "Short waves are damped or lost",
-                "Focus it, or leave it out (`surface: pairs`, `velocity: cameras`)",
-                {"blur": width, "usual": usual},
+            sentence = (
+                f"its images are blurred by {width:.1f} px, those of the other cameras by {usual:.1f} px"
             )
+            means = "Short waves are damped or lost"
+            remedy = "Focus it, or leave it out (`surface: pairs`, `velocity: cameras`)"
+            yield Remark(name, "blurred", "remark", sentence, means, remedy, {"blur": width, "usual": usual})
 
 
 def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[Remark]]:
@@ -358,16 +319,12 @@ def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
         f"at best {100 * best:.0f} % of the patches of two cameras match with a smooth epipolar error (sound "
         f"records: more than {100 * MIN_AGREEMENT:.0f} %)"
     )
-    return Remark(
-        name or "cameras",
-        "disagree",
-        "grave",
-        sentence,
-        "It does not see the same water as the others" if name else "Nothing can be measured",
+    means = "It does not see the same water as the others" if name else "Nothing can be measured"
+    remedy = (
         "Check that images are sharp, bright and seeded, that frames are of the same moments (`offset`), and "
-        "that the rig belongs to these cameras",
-        {"agreement": best},
+        "that the rig belongs to these cameras"
     )
+    return Remark(name or "cameras", "disagree", "grave", sentence, means, remedy, {"agreement": best})
 
 
 # By kind of remark: the finding and the remedy if a camera agrees with the others after a change
@@ -461,12 +418,16 @@ def _moved(subject: str, error: float, sentence: str, values: Mapping[str, float
 def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     """Return at most one remark on two pairs of cameras that see the same water at different heights.
     A camera has then moved along the parallax, but it is unknown which. Skips cameras in ``inconsistent``."""
-    worst, sure = 0.0, 0.0
+    matcher, worst, sure = table.patch_matcher, 0.0, 0.0
     which: tuple[Pair, ...] = ()
     for first, second in combinations(table.pairs, 2):
         if first[0] != second[0] or inconsistent & {*first, *second}:
             continue  # heights can be compared only at the patches of one common camera
-        apart = [_height_difference(table, first, second, k) for k in range(len(table.frames))]
+        length = np.minimum(*(matcher.parallax(pair)[1] for pair in (first, second)))
+        apart = []  # heights from the first pair minus those from the second, as px of parallax
+        for one, other in zip(table.found[first], table.found[second]):
+            both, i, j = np.intersect1d(one.places, other.places, return_indices=True)
+            apart.append((one.height[i] - other.height[j]) * length[both] / matcher.pixel)
         values = np.concatenate(apart)
         if len(values) < MIN_PATCHES * 4:
             continue
@@ -479,15 +440,6 @@ def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
     names = " and ".join("-".join(pair) for pair in which)
     sentence = f"{names} see the same water at different heights, by {abs(worst):.2f} px along the parallax"
     return [_moved("rig", abs(worst), sentence, {"height": worst})]
-
-
-def _height_difference(table: ConsistencyTable, first: Pair, second: Pair, k: int) -> NDArray[np.float64]:
-    """Return heights from the pair ``first`` minus heights from the pair ``second``, as px of parallax.
-    There is one value for each patch that both match at the table's frame with index ``k``."""
-    a, b = table.found[first][k], table.found[second][k]
-    both, ia, ib = np.intersect1d(a.places, b.places, return_indices=True)
-    length = np.minimum(*(table.patch_matcher.parallax(pair)[1] for pair in (first, second)))[both]
-    return np.asarray((a.height[ia] - b.height[ib]) * length / table.patch_matcher.pixel)
 
 
 def _significance(found: Sequence[PairConsistency]) -> float:

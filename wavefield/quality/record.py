@@ -26,7 +26,7 @@ from wavefield.robust import PER_MEDIAN
 from wavefield.series import Experiment, FrameSeries
 from wavefield.series.clocks import is_alike, stated_by_recordings
 from wavefield.series.frames import is_interlaced
-from wavefield.store.verdict import Remark
+from wavefield.store.verdict import Remark, Weight
 from wavefield.text import spell_ranges
 from wavefield.variables import AROUND, FrameFault, FrameStatus, Quality
 
@@ -134,7 +134,11 @@ def remark_on_recordings(experiment: Experiment, series: Mapping[str, FrameSerie
     yield from _rates(experiment, series)
     for one in series.values():
         yield from _uneven(one)
-        yield from _interlaced(one)
+        if is_interlaced(one):
+            sentence = "its images are interlaced: odd and even rows were exposed half a frame interval apart"
+            means = "Moving beads look like combs, which do not match"
+            remedy = "Save each field as a separate image with half the rows, or record progressive frames"
+            yield Remark(one.camera, "frame times", "grave", sentence, means, remedy)
 
 
 def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
@@ -144,29 +148,22 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
         missing = one.missing
         if len(missing) <= MAX_LOST * len(one):
             continue
-        yield Remark(
-            name,
-            "missing frames",
-            "grave" if len(missing) > 0.5 * len(one) else "remark",
-            f"{len(missing)} of {len(one)} frames are missing: {spell_ranges(missing.tolist(), 3)}",
-            "Their steps are measured without this camera, or not at all",
-            "Copy them, or give the range of frames that is complete (`frames`)",
-            {"missing": len(missing), "frames": len(one)},
-        )
+        sentence = f"{len(missing)} of {len(one)} frames are missing: {spell_ranges(missing.tolist(), 3)}"
+        means = "Their steps are measured without this camera, or not at all"
+        remedy = "Copy them, or give the range of frames that is complete (`frames`)"
+        weight: Weight = "grave" if len(missing) > 0.5 * len(one) else "remark"
+        numbers = {"missing": len(missing), "frames": len(one)}
+        yield Remark(name, "missing frames", weight, sentence, means, remedy, numbers)
     if not series:
         return
     complete = complete_steps(series)
     fraction = float(complete.mean())
     if fraction < 0.5:
-        yield Remark(
-            "record",
-            "missing frames",
-            "grave",
-            f"only {100 * fraction:.0f} % of {len(complete)} steps have both frames of every camera",
-            "The other steps are measured with fewer cameras, or not at all",
-            "Copy the missing frames, and number frames of one moment alike in all cameras (`offset`)",
-            {"share": fraction, "steps": len(complete)},
-        )
+        sentence = f"only {100 * fraction:.0f} % of {len(complete)} steps have both frames of every camera"
+        means = "The other steps are measured with fewer cameras, or not at all"
+        remedy = "Copy the missing frames, and number frames of one moment alike in all cameras (`offset`)"
+        values = {"share": fraction, "steps": len(complete)}
+        yield Remark("record", "missing frames", "grave", sentence, means, remedy, values)
 
 
 def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
@@ -176,53 +173,27 @@ def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterato
     named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
     stated = stated_by_recordings(named, experiment.image_folder)
     for name, degrees in ((name, one.rotation) for name, one in stated.items() if one.rotation):
-        yield Remark(
-            name,
-            "mirrored",
-            "note",
-            f"its video states a rotation of {degrees} degrees, which is not applied",
-            "Frames stay as the sensor recorded them",
-            "Take target images in the same orientation",
-        )
+        sentence = f"its video states a rotation of {degrees} degrees, which is not applied"
+        means = "Frames stay as the sensor recorded them"
+        remedy = "Take target images in the same orientation"
+        yield Remark(name, "mirrored", "note", sentence, means, remedy)
     rates = {name: one.rate for name, one in stated.items() if one.rate}
     for name, recorded in rates.items():
         if stated[name].is_video:
             continue
         stamped = name in series and series[name].times is not None  # compared with the rate already
         if not stamped and not is_alike(recorded, rate):
-            yield Remark(
-                name,
-                "frame rate",
-                "remark",
-                f"its recording gives {recorded:g} Hz, but {file} gives {rate:g} Hz",
-                "Velocities are proportional to the frame rate",
-                "Leave frame_rate out to take the recording's rate; keep it if frames were removed since",
-                values={"recorded_hz": recorded, "stated_hz": rate},
-            )
+            sentence = f"its recording gives {recorded:g} Hz, but {file} gives {rate:g} Hz"
+            means = "Velocities are proportional to the frame rate"
+            remedy = "Leave frame_rate out to take the recording's rate; keep it if frames were removed since"
+            values = {"recorded_hz": recorded, "stated_hz": rate}
+            yield Remark(name, "frame rate", "remark", sentence, means, remedy, values)
     alike = [name for name, one in rates.items() if stated[name].is_video and is_alike(one, rate)]
     if alike:
-        yield Remark(
-            alike[0],
-            "frame rate",
-            "note",
-            f"{rate:g} Hz is the playback rate of its video",
-            "Velocities are wrong if the camera recorded at another rate (high-speed, time lapse)",
-            "In that case, give the camera's own rate as frame_rate",
-            values={"playback_hz": rate},
-        )
-
-
-def _interlaced(series: FrameSeries) -> Iterator[Remark]:
-    """Yield a remark if the images of a camera are interlaced."""
-    if is_interlaced(series):
-        yield Remark(
-            series.camera,
-            "frame times",
-            "grave",
-            "its images are interlaced: odd and even rows were exposed half a frame interval apart",
-            "Moving beads look like combs, which do not match",
-            "Save each field as a separate image with half the rows, or record progressive frames",
-        )
+        sentence = f"{rate:g} Hz is the playback rate of its video"
+        means = "Velocities are wrong if the camera recorded at another rate (high-speed, time lapse)"
+        remedy = "In that case, give the camera's own rate as frame_rate"
+        yield Remark(alike[0], "frame rate", "note", sentence, means, remedy, values={"playback_hz": rate})
 
 
 def _uneven(series: FrameSeries) -> Iterator[Remark]:
@@ -237,16 +208,14 @@ def _uneven(series: FrameSeries) -> Iterator[Remark]:
     uneven = np.abs(intervals - places * usual) > 0.5 * usual
     if uneven.any():
         numbers = series.first + there[:-1][uneven]
-        yield Remark(
-            series.camera,
-            "frame times",
-            "remark",
+        sentence = (
             f"{uneven.sum()} intervals between its images are not whole frame intervals, after frame "
-            f"{spell_ranges(numbers.tolist(), 3)}",
-            "Velocities there assume the nominal interval and are wrong",
-            "Use an even part of the record (`frames`), or save each part as a separate recording",
-            {"uneven": int(uneven.sum()), "first": int(numbers[0])},
+            f"{spell_ranges(numbers.tolist(), 3)}"
         )
+        means = "Velocities there assume the nominal interval and are wrong"
+        remedy = "Use an even part of the record (`frames`), or save each part as a separate recording"
+        values = {"uneven": int(uneven.sum()), "first": int(numbers[0])}
+        yield Remark(series.camera, "frame times", "remark", sentence, means, remedy, values)
 
 
 def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, rate: float) -> Array:
@@ -354,16 +323,14 @@ def remark_on_kinematics(sample: xr.Dataset) -> Iterator[Remark]:
     misfits = kinematic_misfit(fields, measured, float(sample.x[1] - sample.x[0]), rate)
     misfit = float(np.nanmedian(misfits)) if np.isfinite(misfits).any() else 0.0
     if misfit > MAX_MISFIT:
-        yield Remark(
-            "record",
-            "kinematics",
-            "grave" if misfit > 2 * MAX_MISFIT else "remark",
+        sentence = (
             f"z_t - w + u . grad z is {misfit:.1f} times its standard uncertainty (at most"
-            f" {MAX_MISFIT} in sound records)",
-            "Elevation and velocity violate the kinematic boundary condition: one of them is wrong",
-            "Check frame rate, synchronisation and seeding; waves may be too short for the images",
-            {"kinematic_misfit": misfit},
+            f" {MAX_MISFIT} in sound records)"
         )
+        means = "Elevation and velocity violate the kinematic boundary condition: one of them is wrong"
+        remedy = "Check frame rate, synchronisation and seeding; waves may be too short for the images"
+        weight: Weight = "grave" if misfit > 2 * MAX_MISFIT else "remark"
+        yield Remark("record", "kinematics", weight, sentence, means, remedy, {"kinematic_misfit": misfit})
 
 
 def remark_on_cleared_steps(cube: xr.Dataset) -> Iterator[Remark]:
@@ -371,12 +338,7 @@ def remark_on_cleared_steps(cube: xr.Dataset) -> Iterator[Remark]:
     steps = np.flatnonzero(cube.frame_status.values == FrameStatus.DISCONTINUOUS)
     if steps.size:
         numbers = spell_ranges([int(cube.frame[0]) + int(k) for k in steps], 3)
-        yield Remark(
-            "record",
-            "frame times",
-            "remark",
-            f"{steps.size} steps, from frames {numbers}, include a jump in time",
-            "A frame was lost, doubled or late in all cameras; these steps are NaN",
-            "Check the numbering of these frames, or give the cameras' time stamps (`times`)",
-            {"steps": int(steps.size)},
-        )
+        sentence = f"{steps.size} steps, from frames {numbers}, include a jump in time"
+        means = "A frame was lost, doubled or late in all cameras; these steps are NaN"
+        remedy = "Check the numbering of these frames, or give the cameras' time stamps (`times`)"
+        yield Remark("record", "frame times", "remark", sentence, means, remedy, {"steps": int(steps.size)})

@@ -29,7 +29,6 @@ EXPLANATIONS: dict[str, str] = yaml.safe_load(
     Path(__file__).with_name("explanations.yaml").read_text(encoding="utf-8")
 )
 
-
 SIGNIFICANCE = 4.0  # standard uncertainties: Gaussian noise exceeds them once in 16,000 times
 CELLS = 3  # the field is divided into CELLS x CELLS parts, whose errors are taken as independent
 MAX_SAMPLES = 2000  # nodes of each step, and steps, that are read; enough for means over the field
@@ -42,29 +41,19 @@ MAX_EPS_PIV = 0.15  # px: median of |eps'|; sound records have less than 0.1
 def remark_on_coverage(seen: float) -> Iterator[Remark]:
     """Yield a remark if ``seen``, the fraction of the grid that all cameras see, is less than half."""
     if seen < 0.5:
-        yield Remark(
-            "grid",
-            "coverage",
-            "remark",
-            f"all cameras together see {100 * seen:.2g} % of the grid's nodes",
-            "The other nodes are not measured",
-            "Check the extent of the grid, which is in metres, or leave it out (`grid: auto`)",
-            {"fraction": seen},
-        )
+        sentence = f"all cameras together see {100 * seen:.2g} % of the grid's nodes"
+        means = "The other nodes are not measured"
+        remedy = "Check the extent of the grid, which is in metres, or leave it out (`grid: auto`)"
+        yield Remark("grid", "coverage", "remark", sentence, means, remedy, {"fraction": seen})
 
 
 def remark_on_holes(measured: float) -> Iterator[Remark]:
     """Yield a remark if ``measured``, the measured fraction of the nodes in view, is less than half."""
     if measured < 0.5:
-        yield Remark(
-            "surface",
-            "holes",
-            "remark",
-            f"only {100 * measured:.0f} % of the nodes in view were measured",
-            "The others are filled from their neighbours, or empty",
-            "Check seeding, light and the cameras' mounts; `quality` gives the reason at each node",
-            {"fraction": measured},
-        )
+        sentence = f"only {100 * measured:.0f} % of the nodes in view were measured"
+        means = "The others are filled from their neighbours, or empty"
+        remedy = "Check seeding, light and the cameras' mounts; `quality` gives the reason at each node"
+        yield Remark("surface", "holes", "remark", sentence, means, remedy, {"fraction": measured})
 
 
 def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) -> Iterator[Remark]:
@@ -73,34 +62,28 @@ def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) ->
     valid = np.isfinite(z) & np.isfinite(eps_piv)
     misfit = float(np.median(np.abs(eps_piv[valid]))) if valid.any() else 0.0
     if misfit > MAX_EPS_PIV:
-        yield Remark(
-            "velocity",
-            "eps'",
-            "grave" if misfit > GRAVE_EPS_Y else "remark",
+        sentence = (
             f"the cameras' displacements differ: the median of |eps'| is {misfit:.2f} px (at most "
-            f"{MAX_EPS_PIV} px in sound records)",
-            "u, v and w are wrong by about as much",
-            "Check that the frames of all cameras are of the same moments and in the same order",
-            {"eps_piv": misfit},
+            f"{MAX_EPS_PIV} px in sound records)"
         )
+        means = "u, v and w are wrong by about as much"
+        remedy = "Check that the frames of all cameras are of the same moments and in the same order"
+        weight: Weight = "grave" if misfit > GRAVE_EPS_Y else "remark"
+        yield Remark("velocity", "eps'", weight, sentence, means, remedy, {"eps_piv": misfit})
 
 
 def remark_on_unresolved_waves(
-    fraction: float, wavelength: float, reason: str, remedy: str
+    fraction: float, wavelength: float, means: str, remedy: str
 ) -> Iterator[Remark]:
     """Yield a remark if waves that are not resolved cause over a tenth of the variance of w.
-    `fraction` is this part of the variance, and `wavelength` the longest of these waves, m. `reason` and
+    `fraction` is this part of the variance, and `wavelength` the longest of these waves, m. `means` and
     `remedy` are sentences of the remark."""
     if fraction > MAX_LOST:
-        yield Remark(
-            "surface",
-            "unresolved waves",
-            "remark",
-            f"waves of {100 * wavelength:.3g} cm and less have {100 * fraction:.3g} % of the variance of w",
-            reason,
-            remedy,
-            {"fraction": fraction, "wavelength": wavelength},
+        sentence = (
+            f"waves of {100 * wavelength:.3g} cm and less have {100 * fraction:.3g} % of the variance of w"
         )
+        values = {"fraction": fraction, "wavelength": wavelength}
+        yield Remark("surface", "unresolved waves", "remark", sentence, means, remedy, values)
 
 
 def remark_on_steps(status: Status) -> Iterator[Remark]:
@@ -118,15 +101,12 @@ def remark_on_steps(status: Status) -> Iterator[Remark]:
             {"failed": status.failed, "steps": status.steps},
         )
     if status.faulty:
-        yield Remark(
-            "record",
-            "bad frames",
-            "remark" if status.faulty > MAX_LOST * status.steps else "note",
-            f"{status.faulty} of {status.steps} steps use frames that are bad",
-            "They are measured with fewer frames and are less accurate",
-            "Copy these frames again and run the same command",
-            {"faulty": status.faulty, "steps": status.steps},
-        )
+        sentence = f"{status.faulty} of {status.steps} steps use frames that are bad"
+        means = "They are measured with fewer frames and are less accurate"
+        remedy = "Copy these frames again and run the same command"
+        weight: Weight = "remark" if status.faulty > MAX_LOST * status.steps else "note"
+        values = {"faulty": status.faulty, "steps": status.steps}
+        yield Remark("record", "bad frames", weight, sentence, means, remedy, values)
 
 
 def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[str]) -> Iterator[Remark]:
@@ -137,15 +117,10 @@ def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[st
         bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
         fraction = float(((quality & bit) != 0)[has_value].mean()) if has_value.any() else 0.0
         if fraction > MAX_LOST:
-            yield Remark(
-                camera,
-                "left out",
-                "remark",
-                f"{100 * fraction:.1f} % of the nodes were measured without {camera}",
-                "Its frame was missing, or contradicted the others there; these nodes are less accurate",
-                f"Check {camera} for drops on its window, reflections, focus and vibration",
-                {"fraction": fraction},
-            )
+            sentence = f"{100 * fraction:.1f} % of the nodes were measured without {camera}"
+            means = "Its frame was missing, or contradicted the others there; these nodes are less accurate"
+            remedy = f"Check {camera} for drops on its window, reflections, focus and vibration"
+            yield Remark(camera, "left out", "remark", sentence, means, remedy, {"fraction": fraction})
 
 
 def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("nan")) -> Remark:
@@ -189,26 +164,20 @@ def _remark_on_sheet(experiment: Experiment, rig: Rig) -> Remark:
     """Return the remark on z = 0 in a light sheet: the height of the sheet, or that it is unknown."""
     sheet = rig.provenance.get("light_sheet")
     if not isinstance(sheet, dict) or "height_m" not in sheet:
-        return Remark(
-            "rig",
-            "light sheet",
-            "remark",
-            "the position of the light sheet has not been determined",
-            "z = 0 is the target's plane; if the sheet is elsewhere, displacements are at wrong positions",
-            f"Run `wavefield rig sheet {experiment.path.name} -o sheet.yaml`, and use that rig",
-        )
+        sentence = "the position of the light sheet has not been determined"
+        means = "z = 0 is the target's plane; if the sheet is elsewhere, displacements are at wrong positions"
+        remedy = f"Run `wavefield rig sheet {experiment.path.name} -o sheet.yaml`, and use that rig"
+        return Remark("rig", "light sheet", "remark", sentence, means, remedy)
     height, elsewhere = float(sheet["height_m"]), float(sheet.get("elsewhere_m", 0.0))
     if elsewhere > 0:
-        return Remark(
-            "rig",
-            "light sheet",
-            "remark",
+        sentence = (
             "a camera has moved since the calibration; two cameras do not show which one, nor how far along "
-            "their parallax",
-            f"All positions in the sheet may be wrong by {1e3 * elsewhere:.1f} mm",
-            "Calibrate again, or add a third camera",
-            {"height_m": height, "elsewhere_m": elsewhere},
+            "their parallax"
         )
+        means = f"All positions in the sheet may be wrong by {1e3 * elsewhere:.1f} mm"
+        remedy = "Calibrate again, or add a third camera"
+        values = {"height_m": height, "elsewhere_m": elsewhere}
+        return Remark("rig", "light sheet", "remark", sentence, means, remedy, values)
     sentence = f"the middle of the light sheet was {1e3 * height:+.2f} mm from the target's plane"
     means = "z = 0 is the middle of the light sheet"
     return Remark("rig", "light sheet", "note", sentence, means, values={"height_m": height})
@@ -228,15 +197,12 @@ def remark_on_probe_file(experiment: Experiment, span: tuple[float, float]) -> I
         return
     first, last = float(probes["time"][0]), float(probes["time"][-1])
     if first > span[1] or last < span[0]:
-        yield Remark(
-            "probes",
-            "probe",
-            "remark",
-            f"they were recorded from {first:g} to {last:g} s, the frames from {span[0]:g} to {span[1]:g} s",
-            "They have no time in common with the frames and cannot be compared",
-            "Give the difference of the clocks as `clock` in `probes:`",
-            {"first": first, "last": last},
+        sentence = (
+            f"they were recorded from {first:g} to {last:g} s, the frames from {span[0]:g} to {span[1]:g} s"
         )
+        means = "They have no time in common with the frames and cannot be compared"
+        remedy = "Give the difference of the clocks as `clock` in `probes:`"
+        yield Remark("probes", "probe", "remark", sentence, means, remedy, {"first": first, "last": last})
 
 
 def remark_on_probes(
