@@ -41,7 +41,7 @@ from wavefield.store.layout import COMPRESSION
 from wavefield.store.ledger import BadFrames
 from wavefield.store.verdict import Remark, Verdict
 from wavefield.text import short_path, spell_time
-from wavefield.variables import AROUND, FrameFault, FrameStatus
+from wavefield.variables import AROUND, CUBE_DIMS, FrameFault, FrameStatus
 
 
 @dataclass(frozen=True)
@@ -310,7 +310,9 @@ def check(
     if trial and faults:
         every += faults.remarks
         if faults.weight != "grave":
-            found = _synchrony(trial)
+            fields = {name: (CUBE_DIMS, trial.fields[name]) for name in ("u", "v", "w", "quality")}
+            frames = range(trial.start + 1, trial.start + len(trial.fields["u"]))
+            found = measure_synchrony(trial.prepared, xr.Dataset(fields), frames, trial.start)
             delays = camera_motion.spell_delays(found.delays)
             every += [*camera_motion.remarks_on_clocks(found), *remarks_on_fields(trial.fields)]
     verdict = Verdict(every, *(faults.pairs, faults.frames) if faults else ())
@@ -331,13 +333,6 @@ def check(
         heights=prepared.heights.sentence if prepared and prepared.heights else "",
         clocks=delays,
     )
-
-
-def _synchrony(trial: Trial) -> camera_motion.Synchrony:
-    """Return the delays between cameras, measured at the frames between the steps of the trial."""
-    fields = {name: (("time", "y", "x"), trial.fields[name]) for name in ("u", "v", "w", "quality")}
-    cube, first = xr.Dataset(fields), trial.start
-    return measure_synchrony(trial.prepared, cube, range(first + 1, first + cube.sizes["time"]), first)
 
 
 def _summary(series: FrameSeries, found: record.FrameInspection) -> CameraCheck:

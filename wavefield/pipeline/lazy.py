@@ -10,7 +10,6 @@ import dask
 import dask.array as da
 import numpy as np
 import xarray as xr
-from dask.delayed import Delayed
 
 from wavefield.errors import ExperimentError, RigError
 from wavefield.grid import Grid
@@ -136,6 +135,7 @@ def reconstruct(
     0.025
     """
     from wavefield.measurement import GridGeometry, Settings, sample_steps
+    from wavefield.measurement.model import tabulated
     from wavefield.store import cube as _cube  # noqa: F401  # registers `cube.wavefield`
     from wavefield.waves import accessor as waves_accessor  # noqa: F401  # registers `cube.waves`
 
@@ -179,9 +179,12 @@ def reconstruct(
         for name in (*CUBE_FIELDS, "frame_status")
     }
     once: Any = dask.delayed(_from_record, pure=False)(known)
-    gain, axes = _gain(once, geometry)
+    table, dims = tabulated(geometry, None), TABLE["gain/gain_z"].dims  # shapes and axes of all gains
+    shape = tuple(table[name].size for name in dims)
+    gain = {n: (dims, da.from_delayed(once[n], shape, np.float64)) for n in table if n not in dims}
     level = da.from_delayed(once["z_level_std"], (), np.float64)
-    coords = {"time": 0.5 * (times[:-1] + times[1:]), "y": grid.y_nodes, "x": grid.x_nodes} | axes
+    coords = {"time": 0.5 * (times[:-1] + times[1:]), "y": grid.y_nodes, "x": grid.x_nodes}
+    coords |= {name: table[name] for name in dims}
     coords["path_frames"] = da.from_delayed(once["path_frames"], (), np.uint8)
     out = xr.Dataset(variables | gain | {"z_level_std": ((), level)}, coords=coords)
     used = replace(rig, cameras={name: rig[name] for name in geometry.cameras})
@@ -234,22 +237,6 @@ def _variable(measured: da.Array, name: str, shape: tuple[int, int]) -> da.Array
         name=f"{name}-{measured.name}",
     )
     return out
-
-
-def _gain(
-    once: Mapping[str, Delayed], geometry: "GridGeometry"
-) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the gains for waves by name, each (dimensions, lazy array), and their coordinates as arrays.
-    ``once`` holds each gain by name, computed later (`Delayed`)."""
-    from wavefield.measurement.model import tabulated
-
-    table = tabulated(geometry, None)
-    dims = TABLE["gain/gain_z"].dims
-    shape = tuple(table[name].size for name in dims)
-    gain = {
-        name: (dims, da.from_delayed(once[name], shape, np.float64)) for name in table if name not in dims
-    }
-    return gain, {name: table[name] for name in dims}
 
 
 def _check_record(record: Mapping[str, object], geometry: "GridGeometry") -> None:

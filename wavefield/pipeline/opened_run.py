@@ -308,16 +308,9 @@ def open_run(store: str | Path, *, experiment: str | Path | None = None) -> Run:
     Returns
     -------
     Run
-        Its attributes are read when first used:
-
-        - ``cube``: the measured fields (time, y, x);
-        - ``recipe``: record of all inputs of the cube, such as settings and names of images;
-        - ``rig``, ``grid``, ``experiment``, ``frames``, ``probes``: cameras, grid points, experiment file,
-          images and wave probes;
-        - ``waves``, ``truth``, ``pair_statistics``: wave spectra and more, exact fields of a simulation,
-          errors of each pair of cameras.
-
-        Absent attributes are None or empty; ``run.reason("probes")`` explains why.
+        The measured fields are ``cube``. Attributes that are read when first used: ``recipe``, ``rig``,
+        ``grid``, ``experiment``, ``frames`` (images), ``probes``, ``waves``, ``truth`` (exact fields of a
+        simulation), ``pair_statistics``. Absent ones are None or empty: see ``run.reason("probes")``.
 
     Raises
     ------

@@ -4,7 +4,7 @@ Rigs, grids and elevations whose values cannot be metres raise errors.
 """
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -254,14 +254,15 @@ def prepare(
     geometry = GridGeometry(rig, grid, settings, covered)
     series = {name: series[name] for name in rig}
     series = masks.covered_series(experiment.mask, series, rig, experiment.path.parent)
-    look = _SampleImages(series, geometry)
+    steps = evenly_spaced(len(next(iter(series.values()))) - 1, SAMPLE_STEPS)
+    read = _sample_reader(series, geometry, steps)
     motion, heights = None, None
     given = (source.settings.get("piv") for source in (experiment, workflow))
     if not any(isinstance(piv, Mapping) and {"search_x", "search_y"} & set(piv) for piv in given):
-        motion = first_guess(look.read, geometry.velocity_cameras, look.steps)
+        motion = first_guess(read, geometry.velocity_cameras, steps)
         settings = wide_enough(settings, motion)
     if settings.z_range is None:
-        settings, heights = high_enough(settings, first_heights(look.read, geometry, look.steps))
+        settings, heights = high_enough(settings, first_heights(read, geometry, steps))
     if settings != geometry.settings:
         geometry = GridGeometry(rig, grid, settings, covered)
     departures = frame_departures(series)
@@ -274,32 +275,30 @@ def prepare(
     )
 
 
-class _SampleImages:
-    """Images of a record, filtered as for the measurement, from which search ranges are estimated.
-    ``steps`` are a few steps, evenly spaced, whose images are kept in memory."""
+def _sample_reader(
+    series: Mapping[str, FrameSeries], geometry: "GridGeometry", steps: Sequence[int]
+) -> Callable[[str, int], np.ndarray | None]:
+    """Return a function that reads the image of a camera at an index, filtered as for the measurement.
+    It returns None if the image is missing or bad. Images at ``steps`` are kept in memory, because the
+    estimates of motion and elevation share them."""
+    from wavefield.measurement.images import bead_width, ready, usable
 
-    def __init__(self, series: Mapping[str, FrameSeries], geometry: "GridGeometry") -> None:
-        self.series, self.geometry = series, geometry
-        count = min(len(series[name]) for name in geometry.cameras) - 1
-        self.steps = evenly_spaced(count, SAMPLE_STEPS)
-        self._widths: dict[str, float] = {}  # width of beads, px, measured in each camera's first image
-        # images of the sample steps, which the estimates of motion and elevation share
-        self._shared: dict[tuple[str, int], np.ndarray | None] = {}
+    widths: dict[str, float] = {}  # width of beads, px, measured in each camera's first image
+    kept: dict[tuple[str, int], np.ndarray | None] = {}
 
-    def read(self, name: str, frame: int) -> np.ndarray | None:
-        """Return the filtered image of the camera ``name`` at an index; None if it is missing or bad."""
-        from wavefield.measurement.images import bead_width, ready, usable
-
-        if (name, frame) in self._shared:
-            return self._shared[name, frame]
-        image, flat = self.series[name].read_uncovered(frame), None
-        if usable(image, self.geometry.rig[name].size):
-            if name not in self._widths:
-                self._widths[name] = bead_width(np.asarray(image))
-            flat = ready(np.asarray(image), self.geometry.sights[name].binning, self._widths[name])
-        if frame in self.steps:
-            self._shared[name, frame] = flat
+    def read(name: str, frame: int) -> np.ndarray | None:
+        if (name, frame) in kept:
+            return kept[name, frame]
+        image, flat = series[name].read_uncovered(frame), None
+        if usable(image, geometry.rig[name].size):
+            if name not in widths:
+                widths[name] = bead_width(np.asarray(image))
+            flat = ready(np.asarray(image), geometry.sights[name].binning, widths[name])
+        if frame in steps:
+            kept[name, frame] = flat
         return flat
+
+    return read
 
 
 def level_at_rest(

@@ -246,7 +246,7 @@ def blur(image: NDArray[np.generic] | None) -> float:
 def find_camera_faults(
     patch_matcher: PatchMatcher, count: int, frames: Sequence[int], threads: int = 1
 ) -> Verdict:
-    """Compare the cameras with each other at ``frames`` of a record of ``count`` frames, and return a verdict.
+    """Compare the cameras with each other at ``frames`` of a record of ``count`` frames, and judge them.
     Frames that a camera lacks are skipped. There are no remarks for one camera, or if the area that all
     cameras see is too small."""
     names = list(patch_matcher.rig)
