@@ -5,7 +5,7 @@ from wavefield.calibration.target_images import calibrate_experiment as calibrat
 from wavefield.execution.workflow import Workflow
 from wavefield.explorer.server import look
 from wavefield.grid import Grid
-from wavefield.pipeline.analysis import analyze, analyze_on_workers
+from wavefield.pipeline.analysis import analyze
 from wavefield.pipeline.assess import uncertainty_terms
 from wavefield.pipeline.catalog import run_catalog
 from wavefield.pipeline.checking import check
@@ -51,7 +51,6 @@ __all__ = [
     "Workflow",
     "__version__",
     "analyze",
-    "analyze_on_workers",
     "calibrate",
     "check",
     "coherence",

@@ -48,7 +48,7 @@ def test_workers_find_what_one_process_finds_to_the_bit(store, expected, tmp_pat
     file = tmp_path / "workflow.yaml"
     file.write_text("{cluster: local, workers: 2}")
     out = tmp_path / "waves.zarr"
-    wf.analyze_on_workers(store, out, file, segment=SEGMENT)
+    wf.analyze(store, out, workflow=file, segment=SEGMENT)
     assert unlike(out, expected) == []
     assert not list(tmp_path.glob(".*partial")), "sums on their way go with the analysis"
 
@@ -70,5 +70,5 @@ def test_a_signal_stops_the_analysis_and_leaves_nothing_behind(store, tmp_path):
 
     workflow = wf.Workflow(cluster="local", workers=2)
     with pytest.raises(RunStopped, match="stopped by SIGTERM; nothing was written"):
-        wf.analyze_on_workers(store, tmp_path / "waves.zarr", workflow, segment=SEGMENT, progress=stop)
+        wf.analyze(store, tmp_path / "waves.zarr", workflow=workflow, segment=SEGMENT, progress=stop)
     assert [path.name for path in tmp_path.iterdir()] == ["waves.log"]

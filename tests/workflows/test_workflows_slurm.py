@@ -242,7 +242,7 @@ def test_more_jobs_are_asked_for_while_work_waits_and_given_back_before_the_last
 def test_the_waves_that_slurm_jobs_find_are_those_of_one_process(reference, workflow, tmp_path):
     one, two = tmp_path / "one.zarr", tmp_path / "two.zarr"
     wf.analyze(reference, one, segment=8)
-    wf.analyze_on_workers(reference, two, workflow, segment=8)
+    wf.analyze(reference, two, workflow=workflow, segment=8)
     one, two = (xr.open_datatree(path, engine="zarr") for path in (one, two))
     for group in one.groups:
         for name, values in one[group].data_vars.items():

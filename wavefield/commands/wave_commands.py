@@ -57,7 +57,7 @@ def analyze(
 def _analyze(store: Path, output: Path | None, segment: int | None, workflow: Path | None) -> int:
     """Analyse a cube, in this process or on the workers of a workflow file.
     Return the exit status: 3 if steps of the cube are not measured, else 0."""
-    from wavefield.pipeline import analyze_on_workers, open_run
+    from wavefield.pipeline import open_run
     from wavefield.pipeline.analysis import analyze as analyze_cube
     from wavefield.store.ledger import unfinished_note
 
@@ -69,10 +69,8 @@ def _analyze(store: Path, output: Path | None, segment: int | None, workflow: Pa
     if run.probes is None and run.experiment is not None and run.experiment.probes:
         click.echo(f"note: without the probes {run.reason('probes')}", err=True)
     with Progress(f"Analysing {short_path(store)}") as progress:
-        if workflow:
-            analyze_on_workers(store, output, workflow, progress=progress, segment=segment, probes=run.probes)
-        else:
-            analyze_cube(store, output, progress=progress, segment=segment, probes=run.probes)
+        probes = run.probes
+        analyze_cube(store, output, workflow=workflow, progress=progress, segment=segment, probes=probes)
     click.echo(f"Wrote {short_path(output)}.")
     return 3 if note else 0
 

@@ -1,6 +1,5 @@
 # The public names and their modules: read by type checkers, and by __init__.py, which imports on first use.
 from wavefield.execution.workflow import Workflow
-from wavefield.pipeline.analysis import analyze_on_workers
 from wavefield.pipeline.catalog import run_catalog
 from wavefield.pipeline.checking import check
 from wavefield.pipeline.lazy import reconstruct
@@ -14,7 +13,6 @@ __all__ = [
     "Run",
     "Status",
     "Workflow",
-    "analyze_on_workers",
     "check",
     "export",
     "open_cube",

@@ -48,8 +48,8 @@ def analyze(
     cube: "str | Path | xr.Dataset",
     out: str | Path | None = None,
     *,
+    workflow: str | Path | Workflow | None = None,
     progress: Callable[[int, int], None] | None = None,
-    each: Callable[..., Iterator[Any]] | None = None,
     **options: Any,
 ) -> "xr.DataTree":
     """Compute the waves of a cube: spectra, coherence, kinematics, statistics, dispersion and more.
@@ -63,12 +63,12 @@ def analyze(
         u, v, w (m/s) over (time, y, x).
     out : path, optional
         Zarr store to write. An existing store is replaced once the new one is complete.
+    workflow : path or Workflow, optional
+        Number and kind of workers, such as ``wf.Workflow(cluster="local", workers=4)``; the result is exactly
+        the same. Cube and ``out`` must then be stores on a disk that all workers see. By default this process
+        does the work.
     progress : callable, optional
         Called with the number of parts that are done and the number of all parts.
-    each : callable, optional
-        A function that replaces ``map``, if the cube is in a store: ``each(work, items)`` applies ``work`` to
-        every item on workers, and yields the results in the order of the items. See
-        `wavefield.analyze_on_workers`. By default this process does the work.
     **options
         Any of the following:
 
@@ -98,6 +98,10 @@ def analyze(
         nodes is fully measured; or if the probes did not record while the cameras did.
     StoreError
         If the cube or the gain cannot be read or the store cannot be written.
+    ExperimentError
+        If the workers cannot be started, do not see the disk, or their scheduler cannot be reached.
+    RunStopped
+        If Ctrl-C, a signal or the workflow's time limit has stopped the workers. Nothing is written then.
 
     Examples
     --------
@@ -117,52 +121,10 @@ def analyze(
     >>> waves["spectra"].E.sel(quantity="w").dims
     ('omega', 'k')
     """
-    from wavefield.atomic_write import Product, check_writable
-    from wavefield.store.recipe import source_of, state_of
-    from wavefield.store.results import WAVES, write_waves
-    from wavefield.waves.analysis import analyze as waves_of
-
-    opened = _open(cube)
-    inputs = [opened.encoding.get("source"), cube, options.get("gain")]
-    if out is not None:
-        check_writable(out, Product(WAVES, source_of(opened)), inputs=inputs)
-    tree = waves_of(opened, progress=progress, each=each, **options)
-    tree.attrs["cube"] = state_of(opened)
-    if out is not None:
-        write_waves(tree, Path(out), source_of(opened), inputs)
-    return tree
-
-
-def analyze_on_workers(
-    cube: str | Path, out: str | Path, workflow: str | Path | Workflow, **options: Any
-) -> "xr.DataTree":
-    """Compute the waves of a cube on several workers; the result equals that of `wavefield.analyze` exactly.
-
-    Parameters
-    ----------
-    cube : path
-        Store of the cube, on a disk that all workers see.
-    out : path
-        Zarr store to write, on a disk that all workers see.
-    workflow : path or Workflow
-        Number and kind of the workers, such as ``wf.Workflow(cluster="local", workers=4)``.
-    **options
-        Keywords of `wavefield.analyze`: progress, probes, segment, depth, gain, current.
-
-    Returns
-    -------
-    DataTree
-        The result of `wavefield.analyze`.
-
-    Raises
-    ------
-    CubeError, StoreError
-        As `wavefield.analyze` does.
-    ExperimentError
-        If the workers cannot be started, do not see the disk, or their scheduler cannot be reached.
-    RunStopped
-        If Ctrl-C, a signal or the workflow's time limit has stopped the analysis. Nothing is written then.
-    """
+    if workflow is None:
+        return _analyze(cube, out, progress=progress, **options)
+    if out is None or not isinstance(cube, str | Path):
+        raise CubeError("with a workflow, analyze needs the path of a cube and the path of a store to write")
     if not isinstance(workflow, Workflow):
         workflow = Workflow.load(workflow)
     source, target = Path(cube).absolute(), Path(out).absolute()
@@ -174,13 +136,31 @@ def analyze_on_workers(
             with open_cluster(workflow, jobs_folder(target), _WORKER_IMPORTS) as map_unordered:
                 import wavefield.waves.analysis  # noqa: F401 while the workers start
 
-                return analyze(
-                    source, target, each=partial(_in_order, map_unordered, Path(folder)), **options
-                )
+                each = partial(_in_order, map_unordered, Path(folder))
+                return _analyze(source, target, each=each, progress=progress, **options)
         except KeyboardInterrupt as stop:
             raise RunStopped(
                 f"{stopped_by(stop)}; nothing was written, and the same command begins again"
             ) from None
+
+
+def _analyze(cube: "str | Path | xr.Dataset", out: str | Path | None, **options: Any) -> "xr.DataTree":
+    """Compute the waves of a cube, and write them to the store ``out`` unless that is None.
+    An option ``each`` replaces ``map``: ``each(work, items)`` yields results in the order of the items."""
+    from wavefield.atomic_write import Product, check_writable
+    from wavefield.store.recipe import source_of, state_of
+    from wavefield.store.results import WAVES, write_waves
+    from wavefield.waves.analysis import analyze as waves_of
+
+    opened = _open(cube)
+    inputs = [opened.encoding.get("source"), cube, options.get("gain")]
+    if out is not None:
+        check_writable(out, Product(WAVES, source_of(opened)), inputs=inputs)
+    tree = waves_of(opened, **options)
+    tree.attrs["cube"] = state_of(opened)
+    if out is not None:
+        write_waves(tree, Path(out), source_of(opened), inputs)
+    return tree
 
 
 def _through_disk(work: Callable[[Any], Any], folder: Path, numbered: tuple[int, Path]) -> Path:
