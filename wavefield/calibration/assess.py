@@ -32,7 +32,7 @@ from wavefield.rig.water_level import WaterPlane, fit_plane
 
 @dataclass(frozen=True)
 class FlatSurface:
-    """Target nodes in one pose, usually flat on z = 0, triangulated from two or more cameras.
+    """Target nodes of one pose, usually of the target flat on z = 0, triangulated from two or more cameras.
     z is the measured minus the expected height of each node, so it is zero for a perfect rig."""
 
     x: Array  # (n,): Measured position of each node, metres
@@ -42,12 +42,12 @@ class FlatSurface:
 
     @property
     def rms(self) -> float:
-        """Root mean square of z over the nodes that are not outliers of the plane, metres."""
+        """Root mean square of z, metres, over the nodes that are not outliers from the fitted plane."""
         return _rms(self.z[self.plane.kept])
 
     @property
     def tilt(self) -> float:
-        """Angle between the fitted plane and z = 0, milliradians."""
+        """Angle between z = 0 and the plane fitted to the nodes, milliradians."""
         return float(1e3 * np.hypot(*self.plane.slope))
 
 
@@ -56,8 +56,8 @@ def _rms(values: Array) -> float:
 
 
 def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> FlatSurface | None:
-    """Triangulate the target nodes of the pose named `pose` with `rig`; expected heights come from `fit`.
-    Returns None if fewer than ten nodes can be triangulated. Each must be seen by two or more cameras."""
+    """Triangulate with `rig` the target nodes of the pose named `pose` that two or more cameras see.
+    Expected heights come from `fit`. Returns None if fewer than ten nodes can be triangulated."""
     o = observations
     N, C = len(o.nodes), len(o.cameras)
     apparent, sight = np.full((C, 2, N), np.nan), np.full((C, 2, N), np.nan)
@@ -76,7 +76,7 @@ def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> F
 
 def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, str], Array]:
     """Return signed distances (m,), px, of target nodes from their epipolar lines, by pair of camera names.
-    They are measured in the image of the second camera. Pairs without a common node are left out."""
+    They are in the second camera's image. Pairs of cameras without a common node are left out."""
     o = observations
     key = o.pose * len(o.nodes) + o.node
     out = {}
@@ -91,8 +91,8 @@ def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, 
 
 
 def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float:
-    """Return the median width on the target that one pixel of a camera covers, metres.
-    `camera` is the index of the camera in the observations."""
+    """Return the median width, metres, that one pixel of camera number `camera` covers at the target's
+    distance."""
     g = fit.geometry
     world = g.world(observations)[observations.camera == camera]
     depth = (world @ g.R[camera].T + g.T[camera])[:, 2]
@@ -102,9 +102,9 @@ def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float
 def residual_summary(
     observations: Observations, fit: Fit, rig: Rig, reference: str
 ) -> tuple[dict[str, Any], FlatSurface | None]:
-    """Return rms and largest residuals as a nested dict: ``cameras``, ``epipolar`` and ``flat_target``.
-    The second result is the triangulated nodes of the pose `reference`. If they are too few, it is None and
-    ``flat_target`` is missing."""
+    """Return a nested dict of rms and largest residuals, and the triangulated nodes of the pose `reference`.
+    The keys are ``cameras``, ``epipolar`` and ``flat_target``; the ending of each inner key is its unit.
+    If too few nodes can be triangulated, the second result is None and ``flat_target`` is missing."""
     o = observations
     cameras = {}
     for c, name in enumerate(o.cameras):
@@ -152,8 +152,8 @@ MIN_STD = 1e-4  # px: no image gives a smaller uncertainty
 
 
 def usable_views(views: Views, findings: Findings) -> UsableViews:
-    """Return the views, by camera and pose, with enough nodes and the most frequent image size of the camera.
-    Views that are left out, and cameras without a usable view, are recorded in `findings`."""
+    """Return the views, by camera and pose, with enough nodes and the camera's most frequent image size.
+    Rejected views, and cameras without a usable view, are recorded in `findings`."""
     usable: UsableViews = {}
     for name, by_pose in views.items():
         size = _common_size(name, by_pose, findings)
@@ -193,7 +193,7 @@ def _common_size(
 
 
 def _finite(points: TargetPoints) -> TargetPoints:
-    """Return the points with finite position and uncertainty; uncertainties are at least `MIN_STD`."""
+    """Return the points with finite position and uncertainty; uncertainties are at least `MIN_STD`, px."""
     finite = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
     return replace(
         points,

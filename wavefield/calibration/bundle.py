@@ -41,7 +41,7 @@ def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """The meaning and the position of each entry of the parameter vector x (p,) of the joint fit."""
+    """Names and positions of the unknowns in the parameter vector x (p,) of the bundle adjustment."""
 
     names: tuple[str, ...]  # Name of each parameter
     lens: tuple[tuple[tuple[int, str], ...], ...]  # Per camera: (position in x, lens parameter)
@@ -49,13 +49,13 @@ class ParameterLayout:
     pose: tuple[int | None, ...]  # Per pose: where its six parameters start in x; None for a fixed pose
 
     def pose_step(self, p: int, x: Array) -> Array:
-        """Return the step (6,) of pose number p in x: rotation vector, rad, then translation, m.
+        """Return the part (6,) of x for target pose number p: rotation vector, rad, then translation, m.
         It is zero for a fixed pose."""
         k = self.pose[p]
         return np.zeros(6) if k is None else x[k : k + 6]
 
     def with_pose(self, name: str, free: bool) -> "ParameterLayout":
-        """Return a copy with one more pose of the target, called `name`; it gets six parameters if `free`."""
+        """Return a copy with one more target pose, called `name`; it has six parameters if it is `free`."""
         names = [f"{name} {part}" for part in ("R1", "R2", "R3", "x", "y", "z") if free]
         first = len(self.names) if free else None
         return replace(self, names=(*self.names, *names), pose=(*self.pose, first))
@@ -67,9 +67,9 @@ def layout(
     reference: int,
     placed: Sequence[int] = (),
 ) -> ParameterLayout:
-    """Assign a position in the parameter vector to each unknown of the joint fit.
-    `models` holds the free lens terms (keys of `TERMS`) of each camera. The poses with the indices
-    `reference` and `placed` stay fixed."""
+    """Assign a position in the parameter vector to each unknown of the bundle adjustment.
+    `models` holds, for each camera, its free lens terms (keys of `TERMS`). The target poses with the
+    indices `reference` and `placed` stay fixed."""
     names: list[str] = []
     lens, camera = [], []
     for c, name in enumerate(observations.cameras):
@@ -87,7 +87,7 @@ def layout(
 
 
 def stepped(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
-    """Return the geometry after the parameters x (p,) are applied to `start`; x = 0 changes nothing."""
+    """Return cameras and target poses: `start` changed by the parameters x (p,); x = 0 changes nothing."""
     lens, R, T = start.lens.copy(), start.R.copy(), start.T.copy()
     pose_R, pose_t = start.pose_R.copy(), start.pose_t.copy()
     for c, columns in enumerate(plan.lens):
@@ -109,7 +109,7 @@ def stepped(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
 
 
 def predict(geometry: Geometry, observations: Observations) -> Array:
-    """Return the pixels (n, 2) that a geometry predicts for the observed target nodes."""
+    """Return the pixels (n, 2) of the observed target nodes, projected with the cameras of `geometry`."""
     world = geometry.world(observations)
     pixel = np.empty((len(observations), 2))
     for c, camera in enumerate(geometry.cameras(observations.sizes)):
@@ -181,10 +181,10 @@ HUBER_LIMIT = 4.0  # standard deviations beyond which the loss grows linearly; f
 
 
 class Whitener:
-    """Multiplies residuals by C^(-1/2), so that common errors of node positions no longer correlate them.
-    C = I + target_std^2 B B^T is the covariance of the normalised residuals, with `target_std` in m. B is
-    made of `by_node` (n, 2, 3), 1/m: derivatives of the residuals by the position of node number `node`
-    (n,)."""
+    """Multiplies residuals by C^(-1/2), which removes the correlation that errors of node positions cause.
+    C = I + target_std^2 B B^T is the covariance of the normalised residuals; `target_std`, m, is the
+    standard uncertainty of node positions. B consists of `by_node` (n, 2, 3), 1/m: the derivatives of
+    residuals by the position of the target node with index `node` (n,)."""
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
         n, count = len(node), int(node.max()) + 1
@@ -226,7 +226,7 @@ def _blocks(matrices: Array) -> sparse.csr_array:
 
 
 def huber(r: Array, limit: float) -> float:
-    """Return Huber's loss of residuals r, summed: r^2 up to `limit`, and linear in |r| beyond it."""
+    """Return the sum of Huber's loss of residuals r: r^2 for |r| up to `limit`, linear in |r| above it."""
     size = np.abs(r)
     return float(np.sum(np.where(size <= limit, size * size, limit * (2.0 * size - limit))))
 
@@ -238,10 +238,10 @@ def minimise(
     limit: float | None,
     tolerance: float,
 ) -> tuple[Array, float]:
-    """Minimise Huber's loss of the residuals from the start x (p,) by the method of Levenberg and Marquardt.
-    `with_jacobian` returns residuals and their derivatives. The search ends when a step would lower the loss
-    by less than the fraction `tolerance`. Returns x and the residual beyond which the loss is linear:
-    `limit`, or if that is None four robust standard deviations."""
+    """Minimise Huber's loss of the residuals from the start x (p,) by the Levenberg-Marquardt method.
+    `with_jacobian` returns residuals and their derivatives. The search ends when a step would lower the
+    loss by less than the fraction `tolerance`. Returns x, and the size of residual above which the loss is
+    linear: `limit`, or four robust standard deviations if `limit` is None."""
     damping = 1e-4
     diagonal = np.zeros_like(x)
     scale = 0.0
@@ -276,7 +276,7 @@ def minimise(
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of `fit`: cameras, poses of the target and node offsets, with their covariance and residuals."""
+    """Result of `fit`: cameras, target poses and node displacements, with covariance and residuals."""
 
     geometry: Geometry  # Cameras, poses and node offsets
     layout: ParameterLayout  # Meaning of the p parameters
@@ -295,10 +295,10 @@ def fit(
     noise_scale: float | None = None,
     placed: Sequence[int] = (),
 ) -> Fit:
-    """Fit all cameras and poses of the target to all observations (bundle adjustment with Huber's loss).
+    """Fit all cameras and target poses to all observations (bundle adjustment with Huber's loss).
     `models` holds the free lens terms of each camera; the poses with the indices `reference` and `placed`
-    stay fixed. `target_std`, m, is the standard uncertainty of node positions; `noise_scale`, the actual over
-    the stated noise of pixels, sets Huber's limit (None: estimated)."""
+    stay fixed. `target_std`, m, is the standard uncertainty of node positions. `noise_scale` is the ratio
+    of actual to stated pixel noise and sets Huber's limit; None estimates it."""
     o = observations
     plan = layout(o, models, reference, placed)
     start = replace(start, offset=np.zeros_like(start.offset))

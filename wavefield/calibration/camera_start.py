@@ -20,7 +20,7 @@ Pose = tuple[Array, Array]  # rotation (3, 3), translation (3,), metres
 
 
 def camera_to_camera(a: Pose, b: Pose) -> Pose:
-    """Return the transformation (R, t), metres, from the frame of camera a to that of camera b.
+    """Return the transformation (R, t), t in metres, from the frame of camera a to the frame of camera b.
     `a` and `b` are the poses of the same target in the two frames."""
     (Ra, ta), (Rb, tb) = a, b
     R = Rb @ Ra.T
@@ -35,7 +35,7 @@ def mean_pose(poses: Iterable[Pose]) -> Pose:
 
 
 def angle_between(A: Array, B: Array) -> float:
-    """Return the angle of the rotation between two orientations A and B (3, 3), degrees."""
+    """Return the angle, degrees, of the rotation that takes orientation A (3, 3) to B (3, 3)."""
     chord = np.linalg.norm(A - B) / np.sqrt(8.0)
     return float(np.degrees(2.0 * np.arcsin(min(chord, 1.0))))
 
@@ -120,7 +120,7 @@ def calibrate_single(observations: Observations) -> SingleCamera:
 
 
 def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
-    """Return the geometry of one camera from `lens` (12,) and poses of the target in the frame of the camera.
+    """Return the geometry of one camera from its lens terms (12,) and the target poses in the camera's frame.
     The keys of `poses` are pose indices. The pose with the smallest index becomes the world frame."""
     pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
     world, origin = poses[min(poses)]
@@ -219,8 +219,8 @@ class PoseConsistency:
 
 
 def transforms_by_pose(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
-    """Return the transformation from the frame of camera a to that of camera b, by name of each common pose.
-    All of them are equal if the cameras agree."""
+    """Return the transformation (R, t) from camera a's frame to camera b's, computed from each common pose.
+    The keys are names of poses. All transformations are equal if the cameras agree."""
     return {pose: camera_to_camera(a.poses[pose], b.poses[pose]) for pose in a.poses if pose in b.poses}
 
 
@@ -242,9 +242,9 @@ def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsi
 
 
 def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> dict[str, bool] | None:
-    """Return, by pose, whether two cameras agree on it; None if they agree on too few poses to be consistent.
-    The result is empty if the cameras share fewer than two poses, as one alone contradicts nothing. `mesh` is
-    the distance between neighbouring target nodes, metres."""
+    """Return, by name of each common pose, whether two cameras agree on it.
+    The result is empty for fewer than two common poses, which cannot be compared, and None if the cameras
+    agree on too few of them. `mesh` is the distance between neighbouring target nodes, metres."""
     common = transforms_by_pose(a, b)
     if len(common) < 2:
         return {}
@@ -262,9 +262,9 @@ def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> dict[str, bo
 def _wrong_views(
     names: Sequence[str], pairs: Mapping[tuple[str, str], Mapping[str, bool]]
 ) -> list[tuple[str, str]]:
-    """Return the views (camera, pose) that no other camera confirms; both if only two cameras saw a pose.
-    `pairs` holds, by pair of cameras and by pose, whether the two agree. If several but not all views of a
-    pose are wrong, none of them is returned."""
+    """Return the views (camera, pose) that disagree with the view of the same pose in every other camera.
+    `pairs` holds, by pair of cameras and by pose, whether the two agree. If only two cameras saw a pose,
+    both views are returned; if several but not all views of a pose disagree, none is."""
     comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): agreement with each partner
     for cameras, agreement in pairs.items():
         for pose, good in agreement.items():
@@ -290,8 +290,9 @@ def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) -> Array:
-    """Return the difference, m, between the target's origins that a and b found, across the sight line of b.
-    R and t transform from the frame of camera a to that of camera b, in which the result (3,) is."""
+    """Return the vector (3,), m, between the positions of the target's origin found by cameras a and b.
+    It is in the frame of b and perpendicular to the sight line of b. R and t transform from a's frame to
+    b's."""
     expected = R @ a.poses[pose][1] + t
     observed = b.poses[pose][1]
     along = observed / np.linalg.norm(observed)
@@ -300,7 +301,7 @@ def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) 
 
 
 def mirrored(camera: SingleCamera) -> SingleCamera:
-    """Return the camera that the same images would give if they were flipped from left to right."""
+    """Return the camera with the poses that its images would give if they were flipped from left to right."""
     F, G = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
     return replace(camera, poses={pose: (F @ R @ G, F @ t) for pose, (R, t) in camera.poses.items()})
 

@@ -85,7 +85,7 @@ def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
 
 def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes, Array]]:
     """Return, for each dot, the columns, rows and grey values (m,) of the pixels around it.
-    They reach half the distance to the neighbouring dots. `pixel` (n, 2) are the positions of the dots."""
+    The pixels reach half-way to the neighbouring dots. `pixel` (n, 2) are the positions of the dots."""
     half_mesh = 0.5 * SmoothMap(node, pixel).slopes(node)
     inverse = np.linalg.inv(np.moveaxis(half_mesh, 1, 2))
     reach = np.ceil(np.abs(half_mesh).sum(1)).astype(int)
@@ -115,7 +115,7 @@ def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
 
 
 def centroid_bias(node: Nodes, pixel: Array, radius: float) -> Array:
-    """Return, for each dot, its centroid in perspective minus the image of its centre, (n, 2), px.
+    """Return the error (n, 2), px, of dots' centroids as positions of their centres, caused by perspective.
     `radius` is the radius of a dot in units of the distance between neighbouring dots."""
     smooth = SmoothMap(node, pixel)
     rings, spokes = 4, 12
@@ -191,8 +191,8 @@ def dot_centres(
 def make_points(
     image: Image, node: Nodes, pixel: Array, notes: tuple[str, ...] = (), noise: Array | float = 0.0
 ) -> TargetPoints:
-    """Make target points from node indices and pixels, without those that miss a smooth map between the two.
-    The uncertainty of each is at least `noise`, px, and at least the scatter of all points about the map."""
+    """Make target points from node indices and pixels, without outliers from a smooth map between them.
+    The uncertainty of each is `noise`, px, or the scatter of all points about the map if it is larger."""
     smooth = SmoothMap(node, pixel)
     free = max(len(node) - 4 - len(smooth.powers), 1)
     limited = np.minimum(smooth.misfit, OUTLIER_DEVIATIONS * smooth.spread)
@@ -237,9 +237,9 @@ def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> t
 
 
 def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:
-    """Return the largest grid of dots that grows from a dot near the middle; None if all are too small.
-    `centre` (n, 2), px, and `area` (n,), px^2, belong to bright shapes; `size` is the image's (width,
-    height)."""
+    """Return the largest grid of dots found from several start dots near the middle of the image.
+    `centre` (n, 2), px, and `area` (n,), px^2, describe bright shapes; `size` is the image's (width,
+    height), px. Returns None if the grid has too few dots."""
     if len(centre) < LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)

@@ -38,7 +38,7 @@ class Candidates:
 
     @property
     def strong(self) -> Mask:
-        """Mask (n,): true for candidates more than half as strong as the median of the 80 strongest."""
+        """Mask (n,): true if the strength is over half the median strength of the 80 strongest."""
         return self.strength > 0.5 * _typical_strength(self.strength)
 
 
@@ -98,7 +98,7 @@ def cross(a: Array, b: Array) -> float:
 
 
 def independent_pair(arms: Array) -> tuple[Array, Array] | None:
-    """Return the first two of the vectors `arms` (n, 2) that are not nearly parallel, or None."""
+    """Return the first two of the vectors `arms` (n, 2) that are not nearly parallel; None if all are."""
     for k, a in enumerate(arms):
         for b in arms[k + 1 :]:
             if abs(cross(a, b)) > MIN_SINE * np.hypot(*a) * np.hypot(*b):
@@ -113,12 +113,12 @@ def most_central(points: Array, count: int) -> list[int]:
 
 
 def around(node: Nodes, steps: Nodes) -> Nodes:
-    """Return all indices (k, 2) that are one of `node` (n, 2) plus one of `steps` (m, 2), each once."""
+    """Return the different indices (k, 2) that are the sum of a `node` (n, 2) and one of `steps` (m, 2)."""
     return np.unique((node[:, None] + steps).reshape(-1, 2), axis=0)
 
 
 def _windows(table: Array, node: Nodes) -> Array:
-    """Return the entries of `table` within two indices of each node (m, 2), as (m, 25, ...).
+    """Return the entries of `table` for the 5 x 5 nodes around each of `node` (m, 2), as (m, 25, ...).
     The entry of the node with the indices (i, j) is ``table[i + REACH, j + REACH]``."""
     index = node[:, None] + WINDOW + REACH
     out: Array = table[index[..., 0], index[..., 1]]
@@ -156,14 +156,14 @@ class TargetLattice:
         return out
 
     def front(self) -> Nodes:
-        """Return the indices (m, 2) of the nodes that are not found yet but are next to one that is."""
+        """Return the indices (m, 2) of the nodes that have not been found but are next to a found node."""
         near = cv2.dilate(self.filled.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
         empty = np.argwhere((near > 0) & ~self.filled)
         return empty[((empty >= 2) & (empty < 2 * REACH - 1)).all(1)] - REACH
 
     def predict(self, node: Nodes) -> tuple[Array, Array]:
-        """Predict pixels (m, 2) of nodes (m, 2), and steps to the next node (m, 2, 2), px, from nodes nearby.
-        The steps [:, 0] are along i, the steps [:, 1] along j."""
+        """Predict the pixels (m, 2) of nodes (m, 2), and steps to the next nodes, from found nodes nearby.
+        The steps (m, 2, 2), px, are [:, 0] along the index i and [:, 1] along j."""
         di, dj = WINDOW.astype(float).T
         basis = np.stack([np.ones(25), di, dj, di * dj, di * di, dj * dj], -1)
         window = _windows(self.place, node)  # (m, 25, 2)
@@ -249,7 +249,7 @@ class SmoothMap:
         self.spread = spread(self.misfit)  # px
 
     def inlier(self, std: Array | float = 0.0) -> Mask:
-        """Return a mask (n,): true for the fitted nodes that are near the map.
+        """Return a mask (n,): true for the fitted nodes that are not outliers from the map.
         `std` is the standard uncertainty of the nodes' pixels, px."""
         out: Mask = self.misfit < np.maximum(OUTLIER_DEVIATIONS * np.hypot(self.spread, std), MIN_OUTLIER_PX)
         return out

@@ -139,9 +139,10 @@ def _best_fit(
     horizons: Mapping[str, Array],
     distance: float | None,
 ) -> tuple[PlatformFit, tuple[float, float], str]:
-    """Fit the mean surface, and the horizon too if it agrees with the mean surface.
-    Returns the fit, the standard uncertainties of tilt (degrees) and height (m), and a sentence on what gave
-    the level. `horizons` holds points (n, 2), px, by camera; `distance`, m, is between two cameras."""
+    """Fit the mean surface to matched pixels, and also to the horizon if it agrees with the mean surface.
+    Returns the fit, the standard uncertainties of tilt (degrees) and height (m), and a sentence that names
+    the source of the vertical. `horizons` holds points (n, 2), px, by camera; `distance`, m, is between
+    two cameras."""
     free = fit_platform(start, matches, {}, distance)
     std = jackknife_std(free, matches, {}, distance)
     if not horizons:

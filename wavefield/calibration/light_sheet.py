@@ -62,7 +62,7 @@ class Correlation:
         self._taper = np.sqrt(np.outer(edge, edge)).astype(np.float32)
 
     def add(self, a: Image, b: Image) -> None:
-        """Add the correlation of two cameras at one instant; a and b are images from `particles`."""
+        """Add the correlation of one instant; a and b are the cameras' images from `particles`."""
         for i, row in enumerate(self.rows):
             lines = slice(row, row + self.side)
             pieces = np.stack([[q[lines, c : c + self.side] for c in self.columns] for q in (a, b)])
@@ -92,7 +92,7 @@ def _centre(plane: Image) -> tuple[float, float]:
 
 
 def _peak(plane: Image) -> Mask:
-    """Return a mask of the connected samples around the maximum of a correlation that exceed half of it."""
+    """Return a mask of the connected points around a correlation's maximum that exceed half of it."""
     top = np.unravel_index(int(plane.argmax()), plane.shape)
     _, parts = cv2.connectedComponents((plane > PEAK_LEVEL * plane.max()).astype(np.uint8))
     return np.asarray(parts == parts[top])
@@ -102,8 +102,8 @@ Read = Callable[[str, int], NDArray[np.generic] | None]  # reads the image of a 
 
 
 class SheetWindows:
-    """Measures how dewarped images of two cameras are shifted, in windows of `side` px, for each pair.
-    The images are those that `read` returns for the frame numbers `instants`."""
+    """Measures the shift between the dewarped images of each pair of cameras, in windows `side` px wide.
+    The images are read by `read`, for the frame numbers `instants`."""
 
     def __init__(self, rig: Rig, side: int, read: Read, instants: Sequence[int]) -> None:
         self.rig = rig
@@ -126,7 +126,8 @@ class SheetWindows:
         self._disparities = {pair: total.disparities() for pair, total in self._correlations.items()}
 
     def _add(self, read: Read, instants: Sequence[int], x: Array, y: Array) -> int:
-        """Add the correlations of all instants, from images resampled at x, y, m; return the number used."""
+        """Add the correlations of all frames `instants`; return the number of usable frames.
+        Images are resampled at positions x, y, m, on z = 0."""
         maps = {name: sight_map(self.rig[name], x, y) for name in self.rig}
         used = 0
         for k in instants:

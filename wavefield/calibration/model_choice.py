@@ -16,9 +16,8 @@ CELLS = 8  # along each side of an image; the coverage is the fraction of cells 
 
 @dataclass(frozen=True)
 class PredictedErrors:
-    """Standard uncertainties of projected positions and of z that are due to the calibration, and coverage.
-    They hold in the volume where the rig will be used; coverage is the fraction of each image that targets
-    cover."""
+    """Standard uncertainties of projected pixels and of z that the calibration causes, and image coverage.
+    The uncertainties hold in the volume where the rig will be used."""
 
     reprojection: Mapping[str, float]  # Of a projected point, px, by camera; rms over volume and axes
     z_std: float  # Of z, metres, rms over the volume; NaN for one camera
@@ -55,8 +54,8 @@ def predict_errors(observations: Observations, result: Fit, level: bool = True) 
 
 
 def project_points(observations: Observations, result: Fit, points: Array) -> tuple[Array, Array, Array]:
-    """Return the pixels (C, n, 2) of points (n, 3), metres, in all C cameras, and two kinds of derivatives.
-    These are by parameter of the fit, (C, n, 2, p), and by position of the point, (C, n, 2, 3), px/m."""
+    """Return the pixels (C, n, 2) of points (n, 3), metres, in all C cameras, and two arrays of derivatives.
+    The first is by the p parameters of the fit, (C, n, 2, p), the second by position, (C, n, 2, 3), px/m."""
     o = observations
     C, n = len(o.cameras), len(points)
     # treat the points as a target whose pose is fixed in the frame of the rig
@@ -135,8 +134,8 @@ def choose_model(
 
 
 def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: Array) -> dict[str, float]:
-    """Return the expected rms error of projected points (n, 3), px, by model, from variance and bias.
-    The bias is the difference from the model `reference`, less what noise explains."""
+    """Return the expected rms error, px, of projected points (n, 3), by camera model: variance plus bias.
+    The squared bias is the squared difference from the model `reference`, minus the part due to noise."""
     pixel: dict[str, Array] = {}
     variance: dict[str, float] = {}
     for name, f in fits.items():

@@ -44,7 +44,7 @@ class Findings:
     left_out: dict[str, int] = field(default_factory=dict)  # Points left out, by view ("camera pose")
 
     def leave_out(self, camera: str, pose: str, points: int, reason: str = "") -> None:
-        """Record that `points` points of a view are left out, and add a note if a reason is given."""
+        """Count `points` points of the view as left out; if a `reason` is given, add a note with it."""
         view = f"{camera} {pose}"
         self.left_out[view] = self.left_out.get(view, 0) + points
         if reason:
@@ -72,7 +72,7 @@ class Observations:
         return len(self.camera)
 
     def only(self, keep: Mask) -> "Observations":
-        """Return a copy with the observations that a mask (n,) selects, and all names and nodes."""
+        """Return a copy with the observations where the mask `keep` (n,) is true, and with all nodes."""
         parts = {key: getattr(self, key)[keep] for key in ("camera", "pose", "node", "pixel", "std")}
         return replace(self, **parts)
 
@@ -80,8 +80,8 @@ class Observations:
     def of_points(
         cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], poses: tuple[str, ...], count: int
     ) -> "Observations":
-        """Return observations of `count` points by every camera, all in the last pose, to predict the pixels.
-        Nominal positions are zero: give the positions of the points as `Geometry.offset`."""
+        """Return placeholder observations of `count` points by every camera in the last pose, for `predict`.
+        Their nominal positions are zero: put the positions of the points into `Geometry.offset`."""
         n = len(cameras) * count
         return Observations(
             cameras,
@@ -159,7 +159,7 @@ class Geometry:
         )
 
     def world(self, observations: Observations) -> Array:
-        """Return the position in the world of the node of each observation, (n, 3), metres."""
+        """Return the position (n, 3), metres, in the world frame, of the node of each observation."""
         points = (observations.nominal + self.offset)[observations.node]
         pose = observations.pose
         world: Array = np.einsum("nij,nj->ni", self.pose_R[pose], points) + self.pose_t[pose]
@@ -168,7 +168,7 @@ class Geometry:
 
 def common_extent(cameras: Sequence[Camera], nominal: Array) -> tuple[Array, Array]:
     """Return the lower and upper corners (x, y), m, of the rectangle on z = 0 that all cameras see.
-    If there is none, return those of the rectangle that holds the target nodes `nominal` (N, 3)."""
+    If there is none, the rectangle encloses the target nodes `nominal` (N, 3), m."""
     try:
         views = [view_on_water(camera) for camera in cameras]
     except RigError:  # without a flat view, the plane z = 0 may be out of view

@@ -57,9 +57,9 @@ def find_horizon(mean: NDArray[np.generic], camera: Camera) -> Array | None:
 
 
 def _line(tangents: Array, strength: Array, reach: float) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the edge points on the straight line that gathers the largest gradients (RANSAC).
-    `tangents` (n, 2) are undistorted positions and `strength` (n,) gradients of the edge points; `reach` is
-    the largest distance from the line, in tangents."""
+    """Return a mask (n,) of the edge points on the straight line with the largest sum of gradients (RANSAC).
+    `tangents` (n, 2) are undistorted positions and `strength` (n,) grey-value gradients of the edge
+    points; `reach` is the largest distance from the line, in units of tangents."""
     rng = np.random.default_rng(0)
     weight = np.minimum(strength, np.median(strength))
     best, inlier = 0.0, np.zeros(len(tangents), bool)
@@ -134,10 +134,10 @@ def fit_platform(
     horizons: Mapping[str, Array],
     distance: float | None = None,
 ) -> PlatformFit:
-    """Fit the plane of the sea's mean surface, and so level and height of the cameras, to what they see.
+    """Fit the plane of the sea's mean surface to matched pixels and horizon points.
     `matches` holds matched pixels by pair of cameras, for each instant; `horizons` holds points of the
-    horizon (n, 2), px, by camera. If the `distance` between two cameras, m, is given, the pose of the second
-    is fitted too."""
+    horizon (n, 2), px, by camera. If the `distance` between two cameras, m, is given, the pose of the
+    second is fitted too."""
     kept = [one for one in _joined(matches) if len(one.a)]
     kept = [_on_water(start, one) for one in kept]
     fit = start
@@ -160,8 +160,9 @@ def jackknife_std(
     fit: PlatformFit, matches: Sequence[Instant], horizons: Mapping[str, Array], distance: float | None
 ) -> tuple[float, float]:
     """Return the jackknife standard uncertainties of tilt (degrees) and height (m), over groups of instants.
-    Successive instants form a group; the groups must show different waves. With one instant, the height's is
-    NaN, and the tilt's is only the horizon's error, or NaN without `horizons`. See also `fit_platform`."""
+    Successive instants form a group; groups must show different waves. With one instant, the height's
+    uncertainty is NaN, and the tilt's is the error of the horizon, or NaN without `horizons`. The
+    arguments are as in `fit_platform`."""
     # leave out successive instants together, because they show the same waves
     groups = np.array_split(np.arange(len(matches)), min(GROUPS, len(matches)))
     first = next(iter(fit.cameras))
@@ -198,7 +199,7 @@ def _joined(matches: Sequence[Instant]) -> list[_Match]:
 
 
 def _on_water(fit: PlatformFit, one: _Match) -> _Match:
-    """Keep the matches that are near their epipolar lines, below the horizon and not too far away."""
+    """Return the matches that are near their epipolar lines, below the horizon and not too far away."""
     first, second = (fit.cameras[name] for name in one.pair)
     near = np.abs(epipolar_distance(first, second, *one.a.T, *one.b.T)) < MAX_EPIPOLAR_ERROR
     down = -(sight_lines(first, one.a) @ first.R @ fit.up)
@@ -228,9 +229,9 @@ def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
 
 
 def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Array]:
-    """Return the distances (n,) of matches across and along their epipolar lines, px.
-    The distances along are from where water without waves would be seen. The third result (n,) is their
-    change with the elevation of the water, px/m."""
+    """Return the distances (n,), px, of matches across and along their epipolar lines, in this order.
+    Distances along the line start at the pixel of water without waves. The third result (n,), px/m, is
+    their derivative by the elevation of the water."""
     first, second = (fit.cameras[name] for name in one.pair)
     rays = sight_lines(first, one.a) @ first.R
     down = np.minimum(rays @ fit.up, -MIN_DOWN / 4)
@@ -247,7 +248,7 @@ def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Arra
 
 
 def _sizes(fit: PlatformFit, one: _Match) -> tuple[float, Array]:
-    """Return the standard deviations, px, of matches: across (one value) and along (n,) epipolar lines."""
+    """Return the standard deviations, px, of matches across (a number) and along (n,) epipolar lines."""
     across, along, per_metre = _along_and_across(fit, one)
     noise = max(robust_std(across), 0.05)
     waves = max(robust_std(along / per_metre), 1e-3)
@@ -263,8 +264,8 @@ def _residuals(
     distance: float | None,
     instants: int,
 ) -> Array:
-    """Return the residuals of matches and of horizon points after a step x, each over its expected size.
-    `sizes` are the results of `_sizes` for the matches `kept`, which come from a number of `instants`."""
+    """Return residuals of matches and horizon points after a step x, in standard deviations.
+    `sizes` are the results of `_sizes` for `kept`, the matches from a number of `instants`."""
     now = _stepped(fit, x, distance)
     out = []
     for one, (noise, expected) in zip(kept, sizes, strict=True):

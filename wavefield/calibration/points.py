@@ -95,7 +95,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
-    """Return the image size (width, height) that a comment in the file states; None if there is none."""
+    """Return the image size (width, height), px, from a comment line of the file; None if there is none."""
     for line in lines:
         words = line.lstrip("#").split()
         if line.startswith("#") and words[:1] == ["size"]:

@@ -55,7 +55,7 @@ def _bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -> Camera:
     """Return camera `other` with a new pose relative to `one`, such that sight lines of `matches` meet.
-    `distance` is that between the two cameras, metres. Raises a RigError if there are too few matches."""
+    `distance` is the distance between the two cameras, metres. Raises a RigError for too few matches."""
     a, b = matches
     if len(a) < MIN_MATCHES:
         raise RigError(_too_few(len(a)))
@@ -95,8 +95,9 @@ def _starts(E: Array, one: Array, other: Array, reach: float) -> list[Pose]:
 def _fitted(
     one: Camera, other: Camera, matches: Pixels, distance: float, start: Pose
 ) -> tuple[Camera, float]:
-    """Fit the pose of camera `other` to the matches from a start; return the camera and the robust loss.
-    `start` is a pose (rotation, unit translation) relative to camera `one`; `distance` is in metres."""
+    """Fit the pose of camera `other` to the matches; return the camera and the remaining robust loss.
+    `start` is a pose (rotation, unit translation) relative to `one`; `distance`, m, is between the
+    cameras."""
     R, t = start
     across = np.linalg.svd(t[None])[2][1:]  # two directions across t
 

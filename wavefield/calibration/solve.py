@@ -211,7 +211,7 @@ def _fit_and_choose(
 
 
 def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observations) -> Geometry:
-    """Return the geometry with the values of an ideal lens for all lens terms that are not in `terms`."""
+    """Return the geometry in which all lens terms outside `terms` have the values of an ideal lens."""
     lens = geometry.lens.copy()
     free = {"fx", "fy"}.union(*(TERMS[term] for term in terms))
     fixed = [column for column, name in enumerate(LENS) if name not in free]
@@ -224,8 +224,8 @@ def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observat
 
 
 def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
-    """Return a mask (n,) of the observations to keep, and record in `findings` those that are left out.
-    If one view is much worse than the others, this view is left out, and otherwise single bad points."""
+    """Return a mask (n,) of the observations to keep; rejected ones are recorded in `findings`.
+    A view that is much worse than the others is rejected as a whole; if there is none, single bad points."""
     deviation = np.abs(result.residual).max(axis=1) / o.std
     view = o.camera * len(o.poses) + o.pose
     spread = {

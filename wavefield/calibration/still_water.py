@@ -39,7 +39,7 @@ Matches = Mapping[str, ArrayLike]  # by camera: pixels (n, 2) of the same n poin
 
 def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
     """Return the names of the matched cameras in the rig's order, and the matched pixels (n, cameras, 2).
-    Raises a CalibrationError for fewer than two cameras, an unknown camera, or arrays of another shape."""
+    Raises a CalibrationError for fewer than two cameras, an unknown camera, or arrays of a wrong shape."""
     names = [name for name in rig if name in matches]
     unknown = [name for name in matches if name not in rig.cameras]
     if unknown:
@@ -53,7 +53,7 @@ def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
 
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
-    """Return the points x, y, z, each (n,), m, nearest to the sight lines of matched pixels.
+    """Return the points x, y, z, each (n,), m, that are nearest to the sight lines of each match.
     The fourth result is the observed minus the projected pixels, (n, cameras, 2)."""
     names, pixel = stack_matches(rig, matches)
     cameras = [rig[name] for name in names]
@@ -80,8 +80,8 @@ class Solution:
 
 
 class SightLineFit:
-    """Least-squares fit of a rig's cameras to matched pixels of standard uncertainty `std`, px.
-    The prior is the calibration of the rig, with the covariance in its provenance."""
+    """Least-squares fit of a rig's cameras to matched pixels, whose standard uncertainty is `std`, px.
+    The calibration of the rig is the prior; its covariance is stored in the rig's provenance."""
 
     def __init__(self, rig: Rig, matches: Matches, std: float):
         self.names, pixel = stack_matches(rig, matches)
@@ -119,12 +119,12 @@ class SightLineFit:
         return {name: self.pixel[:, k] for k, name in enumerate(self.names)}
 
     def rig_at(self, x: Array) -> Rig:
-        """Return the rig after a step x (p,) of the parameters from the calibration."""
+        """Return the calibrated rig, changed by the parameter step x (p,)."""
         cameras = stepped(self.start, self.layout, x).cameras(self.observations.sizes)
         return Rig({**self.rig.cameras, **dict(zip(self.names, cameras))}, self.rig.provenance)
 
     def solve(self, free: Sequence[str]) -> Solution:
-        """Find the most probable parameters if the cameras named in `free` may have moved, and no others."""
+        """Find the most probable parameters if only the cameras named in `free` may have moved."""
         covariance = self.covariance.copy()
         for name in free:
             k = self.layout.camera[self.names.index(name)]
@@ -145,12 +145,12 @@ class SightLineFit:
 
     def _linearised(self, x: Array) -> tuple[Array, Array]:
         """Return the normalised residuals (n, 2C, 1) of C cameras and their derivatives (n, 2C, p) at x (p,).
-        The part that a shift of each point would explain is removed."""
+        The component that a shift of the matched point in space would explain is projected out."""
         point = np.stack(sight_points(self.rig_at(x), self.matches)[:3], axis=-1)
         pixel, J, A = linearised(replace(self.start, offset=point), self.layout, x, self.observations)
 
         def by_point(values: Array) -> Array:
-            """Reorder (C n, 2, ...) to (n, C, 2, ...); zero where a camera sees no point."""
+            """Reorder (C n, 2, ...) to (n, C, 2, ...); zero where a camera does not see the point."""
             own = np.moveaxis(values.reshape(len(self.names), self.n, 2, -1), 0, 1)
             return np.ascontiguousarray(np.where(self.visible[..., None, None], own, 0.0))
 
@@ -167,13 +167,13 @@ class SightLineFit:
         return float(np.degrees(np.linalg.norm(solution.x[k : k + 3])))
 
     def image_shift(self, solution: Solution, name: str) -> float:
-        """Return how far the turn of the camera `name` in `solution` shifts its image, px."""
+        """Return the shift of the image, px, that corresponds to the camera's rotation in `solution`."""
         return self.rig[name].fx * float(np.radians(self.angle(solution, name)))
 
     def misfit(self, projected: Array) -> float:
-        """Return a robust distance, px, by which sight lines miss each other.
-        `projected` holds residuals over `std` from which the part that shifts of points explain has been
-        removed."""
+        """Return the robust distance, px, by which sight lines miss each other.
+        `projected` holds residuals divided by `std`, without the component that shifts of the points
+        explain."""
         norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
         # normalise by the median of a chi distribution with 2 cameras - 3 degrees of freedom
         median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))
@@ -187,7 +187,7 @@ class SightLineFit:
 
 def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[ParameterLayout, Array]:
     """Return the layout of the cameras' parameters and the prior covariance (p, p) of these parameters.
-    The covariance comes from the rig's provenance. If there is none, only poses are free, with default
+    The covariance comes from the rig's provenance. Without it, only camera poses are free, with default
     uncertainties."""
     stated = rig.provenance.get("covariance")
     columns: dict[str, list[str]] = {name: [] for name in names}
@@ -267,9 +267,8 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
 
 
 def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
-    """Decide whether a camera has moved, and which.
-    The second result holds a solution for each camera that may have moved, by name, and one for none under
-    the key None."""
+    """Decide whether a camera has moved, and which; also return the fits that were compared.
+    These are by the name of the camera that was free to move, or None for the fit without motion."""
     solutions: dict[str | None, Solution] = {None: problem.solve(())}
     for name in problem.names:
         solutions[name] = problem.solve((name,))
@@ -312,9 +311,9 @@ def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
 
 
 def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: float, after: float) -> RigCheck:
-    """Return the result of a check: `best` has moved or, if a large misfit remains, something else is wrong.
-    `faulty` are the cameras whose motion explains the misfit about equally well. `before` and `after` are the
-    misfits before and after the correction, px; `angle` is in degrees."""
+    """Return the result of a check: camera `best` has moved, or no motion removes a large misfit.
+    `faulty` are the cameras whose motion explains the misfit about equally well. `before` and `after` are
+    the misfits, px, before and after the correction; `angle`, degrees, is the rotation of `best`."""
     if after > max(0.5 * before, SHARP_MISFIT_PX):
         text = f"sight lines miss by {before:.2f} px, and by {after:.2f} px with one turned: {_OTHER_CAUSES}"
         return RigCheck(before, after, None, faulty, angle, text)
@@ -327,7 +326,7 @@ def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: floa
 
 
 def _refined(problem: SightLineFit, solution: Solution, check: RigCheck) -> Rig:
-    """Return the rig with the cameras of a solution, and a note ``refined`` on them in its provenance."""
+    """Return the rig with the cameras of `solution`, and a summary as ``refined`` in its provenance."""
     note = {
         "misfit_before_px": check.misfit,
         "misfit_after_px": solution.misfit,

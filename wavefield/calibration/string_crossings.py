@@ -30,8 +30,9 @@ def gaussian(p: float) -> Pair:
 
 @compiled(inline="always")
 def profile(d: float, u: float, s: float) -> tuple[float, float, float]:
-    """Return the brightness across a string at the distance d from its axis, and its derivatives by d and u.
-    The profile is a box of half width sqrt(u) with unit integral, blurred by a Gaussian of std s, px."""
+    """Return the brightness across a string at distance d, px, from its axis; also its derivatives by d and
+    u.
+    The profile is a box of half width sqrt(u), px, with unit integral, blurred by a Gaussian of std s, px."""
     h = math.sqrt(max(u, 0.0))
     if abs(d) > h + 6.0 * s:
         return 0.0, 0.0, 0.0
@@ -67,14 +68,14 @@ class Crossings:
     noise: Array  # (n, 4): Mean grey and mean squared residual, of the background and of the strings
 
     def only(self, keep: Mask) -> "Crossings":
-        """Return the crossings that a mask (n,) selects."""
+        """Return the crossings for which the mask `keep` (n,) is true."""
         return Crossings(**{name: value[keep] for name, value in vars(self).items()})
 
 
 @compiled()
 def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: float) -> Array:
-    """Return columns, rows and grey values (3, n) of the pixels near a crossing with the parameters `start`.
-    They are in the parallelogram of the vectors `arm1` and `arm2` (2,) and within `band` of a string, px."""
+    """Return columns, rows and grey values, as (3, n), of the pixels near a crossing with parameters `start`.
+    They are in the parallelogram of the vectors `arm1` and `arm2` (2,) and within `band`, px, of a string."""
     rows, columns = image.shape
     det = arm1[0] * arm2[1] - arm1[1] * arm2[0]
     wide, tall = abs(arm1[0]) + abs(arm2[0]), abs(arm1[1]) + abs(arm2[1])
@@ -223,10 +224,11 @@ def _fit_one(
     arms: Array,
     noise: Array,
 ) -> float:
-    """Fit one crossing by damped Gauss-Newton steps; return the residual over the noise, -1 if it fails.
-    Changed in place: parameters p (12,), `covariance` (2,) with the variances of x and y, px^2, `arms` (4,)
-    with relative brightnesses, and `noise` (4,) with mean grey and mean squared residual of background and
-    strings."""
+    """Fit one crossing by damped Gauss-Newton steps; return the residual over the noise, or -1 if the fit
+    fails.
+    Changed in place: the parameters p (12,); `covariance` (2,), the variances of x and y, px^2; `arms`
+    (4,), relative brightnesses; `noise` (4,), mean grey and mean squared residual of the background, then
+    of the strings."""
     n = pixels.shape[1]
     if n < 45:
         return -1.0
@@ -272,9 +274,9 @@ def _fit_all(
 
 
 def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> Array:
-    """Return start values (n, 12) of centres, angles and widths of crossings; the fit solves for the others.
-    `slopes` (n, 2, 2) are steps in the image along the two strings. `sigma` is the standard deviation of a
-    string's profile, `blur` that of the Gaussian blur by the lens, px."""
+    """Return start values (n, 12) of centres, angles and widths for `fit_crossings`; the others are zero.
+    `slopes` (n, 2, 2) are steps in the image along the two strings, px. `sigma` is the standard deviation
+    of a string's profile, px, `blur` that of the lens blur, px."""
     p = np.zeros((len(pixel), COUNT))
     p[:, CX], p[:, CY] = pixel.T
     p[:, ANGLE1] = np.arctan2(slopes[:, 0, 1], slopes[:, 0, 0])

@@ -36,8 +36,8 @@ NO_GRID = (
 
 
 def best_lattice(image: Image) -> tuple[TargetLattice, float]:
-    """Return the grid of crossings with the most light along its lines, and the scale of smoothing, px.
-    Raises a CalibrationError if there is none."""
+    """Return the grid of crossings with the brightest lines, and the standard deviation of the smoothing, px.
+    Raises a CalibrationError if no grid is found."""
     best: TargetLattice | None = None
     best_scale, most = SCALES[0], 0.0
     for scale in SCALES:
@@ -60,8 +60,8 @@ def best_lattice(image: Image) -> tuple[TargetLattice, float]:
 
 
 def _light_along(image: Image, lattice: TargetLattice) -> float:
-    """Return the excess brightness along the lines between neighbouring nodes, times length, summed, grey px.
-    The excess is the brightness on a line minus that on both sides of it."""
+    """Return excess brightness times length, summed over lines between neighbouring nodes, grey levels x px.
+    The excess is the brightness on a line minus the mean brightness beside it."""
     place, filled = lattice.place, lattice.filled
     along = np.linspace(0.25, 0.75, 16)[None, :, None]
     total = 0.0
@@ -77,7 +77,7 @@ def _light_along(image: Image, lattice: TargetLattice) -> float:
 
 
 def _seeds(image: Image, candidates: Candidates) -> list[tuple[Array, Array, Array]]:
-    """Return seeds near the image's centre: a crossing (2,) and steps e1, e2 (2,) to the next ones, px."""
+    """Return crossings (2,) near the image's centre, each with steps e1, e2 (2,) to two neighbours, px."""
     height, width = image.shape
     light = _above_ground(image, candidates.scale)
     pixel = candidates.pixel[candidates.strong]
@@ -105,14 +105,14 @@ def _seeds(image: Image, candidates: Candidates) -> list[tuple[Array, Array, Arr
 
 
 def _above_ground(image: Image, scale: float) -> Image:
-    """Smooth the image, and subtract its local background."""
+    """Return the image, smoothed with a Gaussian of std `scale`, px, minus its local background."""
     smooth = cv2.GaussianBlur(image, (0, 0), max(1.0, 0.5 * scale))
     ground = cv2.blur(cv2.erode(smooth, np.ones((15, 15), np.uint8)), (31, 31))
     return np.asarray(smooth, np.float32) - np.asarray(ground, np.float32)
 
 
 def sample(image: Image, pixel: Array) -> Image:
-    """Interpolate the image at positions (..., 2), px; outside the image, the nearest pixel counts."""
+    """Interpolate the image at positions (..., 2), px; outside, the value of the nearest pixel is taken."""
     flat = pixel.reshape(-1, 2).astype(np.float32)
     rows = 30000  # cv2.remap takes no more than 32767 rows
     parts = [
@@ -128,7 +128,7 @@ DISC_RADII = np.linspace(0.05, 0.38, 34)  # meshes: radii of the model discs
 
 
 def numbered_from_marks(image: Image, smooth: SmoothMap, node: Nodes) -> Nodes:
-    """Return the nodes (n, 2), counted anew: (0, 0) is at the larger disc and (1, 0) at the smaller one.
+    """Return the nodes (n, 2) renumbered: (0, 0) is at the larger disc and (1, 0) at the smaller one.
     `smooth` maps the present indices `node` (n, 2) to pixels."""
     origin, step = _marks(image, smooth, node)
     rotation = np.array([[step[0], step[1]], [-step[1], step[0]]])
@@ -137,7 +137,7 @@ def numbered_from_marks(image: Image, smooth: SmoothMap, node: Nodes) -> Nodes:
 
 
 def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
-    """Return the indices (2,) of the node under the larger disc, and the step (2,) to that under the smaller.
+    """Return the node (2,) under the larger disc, and the step (2,) to the node under the smaller disc.
     `smooth` maps indices `node` (n, 2) to pixels. Raises a CalibrationError if no pair of discs is clear."""
     height, width = image.shape
     places = around(node, np.vstack([[[0, 0]], FOUR_NEIGHBOURS]))
@@ -180,8 +180,9 @@ def _pairs_of_discs(
 
 
 def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
-    """Return the brightness on circles around each node minus that around a typical node, and the latter.
-    The shapes are (node, circle, direction) and (circle, direction). `pixel` (n, 2) are the nodes' positions,
+    """Return the excess brightness (node, circle, direction) on circles around nodes, and the median over
+    nodes.
+    The excess is relative to the median (circle, direction). `pixel` (n, 2) are the nodes' positions,
     `slopes` (n, 2, 2) the steps in the image to the next nodes."""
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
@@ -193,8 +194,8 @@ def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
 
 
 def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
-    """Fit a uniform disc at each node; return quality, radius and grey of each, all (n,).
-    The quality is the rms brightness that the disc explains over the rms of the rest; 0 if the disc is faint.
+    """Fit a uniform disc at each node; return quality, radius and grey value of each disc, all (n,).
+    The quality is the rms brightness explained by the disc over the rms of the rest; 0 for a faint disc.
     Radii are in units of the distance between nodes. `excess` and `usual` are the results of `_circles`."""
     noise = np.median(np.abs(excess[:, -10:])) + 1e-3
     disc = np.clip((DISC_RADII[:, None] - CIRCLES) / 0.05 + 0.5, 0, 1)[..., None]
@@ -235,7 +236,7 @@ def find_strings(image: Image, target: Target) -> TargetPoints:
 def _fitted(
     image: Image, node: Nodes, pixel: Array, scale: float
 ) -> tuple[Crossings, Nodes, tuple[str, ...]]:
-    """Fit crossings, add missed ones, and reject implausible ones; return them, their indices, and notes.
+    """Fit crossings at nodes, add missed ones, reject implausible ones; return crossings, indices and notes.
     `scale` is the standard deviation of the smoothing with which the nodes were found, px."""
     height, width = image.shape
     smooth = SmoothMap(node, pixel)
@@ -281,13 +282,13 @@ def _fitted(
 
 
 def _under_marks(node: Nodes) -> Mask:
-    """Return a mask (n,): true for the nodes (n, 2) that the two discs cover."""
+    """Return a mask (n,): true for the nodes (0, 0) and (1, 0), which the two discs cover."""
     out: Mask = (node[:, 1] == 0) & ((node[:, 0] == 0) | (node[:, 0] == 1))
     return out
 
 
 def _missing(node: Nodes) -> Nodes:
-    """Return the nodes (m, 2) within two indices of the nodes `node` that are not among them.
+    """Return the nodes (m, 2) within two indices of the found nodes `node` (n, 2) that have not been found.
     Nodes under a disc are left out."""
     places = around(node, WINDOW)
     present = set(map(tuple, node))
@@ -295,8 +296,8 @@ def _missing(node: Nodes) -> Nodes:
 
 
 def _plausible(fit: Crossings, expected: Array, slopes: Array) -> Mask:
-    """Return a mask (n,) of the crossings near `expected` (n, 2), px, with strings along `slopes` (n, 2, 2).
-    `slopes` are the steps to the next nodes, px. At least three of the four arms must be bright."""
+    """Return a mask (n,) of crossings near `expected` (n, 2), px, whose strings are nearly along `slopes`.
+    `slopes` (n, 2, 2) are the steps to the next nodes, px. At least three of the four arms must be bright."""
     length = np.hypot(slopes[..., 0], slopes[..., 1])
     turn = fit.angle - np.arctan2(slopes[..., 1], slopes[..., 0])
     turn = np.abs((turn + np.pi / 2) % np.pi - np.pi / 2)
@@ -313,7 +314,7 @@ def _plausible(fit: Crossings, expected: Array, slopes: Array) -> Mask:
 
 
 def _like_neighbours(fit: Crossings) -> Mask:
-    """Return a mask (n,) of the crossings whose strings are about as wide and bright as those nearby."""
+    """Return a mask (n,) of the crossings with strings about as wide and bright as at nearby crossings."""
     _, near = cKDTree(fit.pixel).query(fit.pixel, min(13, len(fit.pixel)))
     width = fit.sigma / np.median(fit.sigma[near], axis=1)
     flux = fit.flux / np.median(fit.flux[near], axis=1)
@@ -341,7 +342,8 @@ def _lens_blur(image: Image, fit: Crossings, slopes: Array, good: Mask) -> float
 
 
 def _noise(fit: Crossings, good: Mask) -> tuple[float, float]:
-    """Return the noise variance of a pixel at zero grey, and its increase per grey level."""
+    """Return the noise variance of a pixel at zero grey, and its increase per grey level.
+    Both are estimated from the residuals of the crossings for which `good` (n,) is true."""
     ground, at_ground, string, at_string = np.median(fit.noise[good], axis=0)
     slope = max((at_string - at_ground) / max(string - ground, 1e-3), 0.0)
     return max(at_ground - slope * ground, 0.1 * at_ground, 1e-4), slope

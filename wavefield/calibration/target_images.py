@@ -123,14 +123,14 @@ def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
 
 
 def placed_at(points: TargetPoints, height: float) -> TargetPoints:
-    """Return the points of a target parallel to z = 0 as known positions in the frame of the rig.
-    `height` is that of the target above z = 0, m."""
+    """Return the points, marked as known positions in the rig's frame, of a target parallel to z = 0.
+    `height` is the height of the target above z = 0, m."""
     own = np.zeros(len(points)) if points.z is None else points.z
     return replace(points, z=own + height, placed=True)
 
 
 def is_table(path: Path) -> bool:
-    """Return whether the ending of a file's name is that of a table of points."""
+    """Return whether the file name's ending is one of a table of points, not of an image."""
     return path.suffix.lower() in TABLES
 
 

@@ -40,7 +40,7 @@ class PlateLevel:
         self.side = float(np.median(np.hypot(slopes[..., 0], slopes[..., 1])))
 
     def index_of(self, pixel: Array) -> Array:
-        """Return the indices (n, 2) that belong to pixels (n, 2), as fractions; dots have whole indices."""
+        """Return the indices (n, 2) of pixels (n, 2) in this level's grid; they are whole numbers at dots."""
         inverse = np.linalg.inv(self.smooth.matrix)
         q = np.c_[pixel, np.ones(len(pixel))] @ inverse.T
         index: Array = q[:, :2] / q[:, 2:]
@@ -79,8 +79,8 @@ def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Ar
 
 
 def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
-    """Return the positions (2,) of the pixels (n, 2) that are midway between two dots of a level.
-    Units are the distance between rows of dots; the keys are the indices of these pixels."""
+    """Return the grid positions (2,) of those among the given pixels (n, 2) that are midway between two dots.
+    The positions are in units of the distance between rows of dots; the keys are indices into `pixel`."""
     mesh = 2 * level.index_of(pixel) + level.shift
     site = np.rint(mesh).astype(np.int64)
     good = (np.abs(mesh - site) < MAX_MISFIT).all(1) & (site.sum(1) % 2 == 1)
@@ -94,15 +94,15 @@ def _right_handed(level: PlateLevel, index: Array, x: Nodes, y: Nodes) -> bool:
 
 
 def _square_first(patch: Array) -> Nodes | None:
-    """Return the indices that put the square before the triangle; None if the two are too similar.
-    `patch` (2, samples) holds the images of both marks."""
+    """Return the order (2,) of the two marks that puts the square first; None if they are too similar.
+    `patch` (2, samples) holds the images of the two marks."""
     skewness = np.array([_skewness(one) for one in patch])
     return None if skewness.max() < 2.0 * skewness.min() else np.argsort(skewness)
 
 
 def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Array:
     """Sample the image around n marks, as patches (n, samples) of brightness from 0 to 1.
-    `pixel` (n, 2) are the positions of the marks, `index` (n, 2) the same in cells of `level`."""
+    `pixel` (n, 2) are the positions of the marks, `index` (n, 2) the same positions as indices in `level`."""
     a = PATCH_REACH * np.linspace(-1, 1, PATCH_SAMPLES)
     offset = np.stack(np.meshgrid(a, a), -1).reshape(-1, 2)
     places = level.smooth((index[:, None] + offset).reshape(-1, 2)).astype(np.float32)
@@ -117,7 +117,7 @@ def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Arr
 
 
 def _skewness(patch: Array) -> float:
-    """Return the asymmetry of a patch (samples,): third moments over the cubed size; large for triangles."""
+    """Return the asymmetry of a patch (samples,): third moments over size cubed; large for triangles."""
     light = np.where(patch > 0.3, patch, 0.0)
     a = np.linspace(-1, 1, PATCH_SAMPLES)
     x, y = (v.ravel() for v in np.meshgrid(a, a))
@@ -198,8 +198,8 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
 
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
-    """Return pairs of steps, px, from dot k to other dots, those that span the smallest cells first.
-    Dots must lie at the end of each step, at its opposite, and at the sum of the two steps."""
+    """Return pairs of steps, px, from dot k to other dots that may be sides of a cell; smallest cells first.
+    There must be dots at the end of each step, at its opposite, and at the sum of the two steps."""
     _, near = tree.query(centre[k], min(22, len(centre)))
     vectors = centre[near[1:]] - centre[k]
     ends = cKDTree(vectors)
@@ -229,7 +229,7 @@ def _middles_filled(level: PlateLevel, centre: Array) -> bool:
 
 
 def _other_dots(level: PlateLevel, centre: Array) -> Array:
-    """Return the dots (m, 2) among `centre` (n, 2) in the area of `level` that do not belong to it."""
+    """Return the dots (m, 2) among `centre` (n, 2), px, in the area of `level` but not part of it."""
     distance, _ = cKDTree(level.pixel).query(centre)
     rest = centre[distance > 0.1 * level.side]
     if not len(rest):
@@ -267,8 +267,8 @@ def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
 def _numbered(
     image: Image, marked: PlateLevel, second: PlateLevel, axes: PlateAxes, target: Target
 ) -> TargetPoints:
-    """Return the target points of both levels, with indices that count from the origin and along `axes`.
-    `marked` is the level that `axes` refer to; it is at z = 0."""
+    """Return the target points of both levels, with indices that count from the origin of `axes`.
+    `marked` is the level in whose units `axes` are given; it is at z = 0."""
     origin, x, y = axes
 
     def located(level: PlateLevel) -> TargetPoints:
