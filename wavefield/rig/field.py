@@ -123,6 +123,6 @@ def pixel_at(camera: Camera, x: float, y: float) -> float:
 
 
 def pixel_size(rig: Rig, grid: Grid) -> float:
-    """Return the size, metres, of a pixel projected to the middle of the grid, for the coarsest camera."""
+    """Return the largest size, metres, of any camera's pixel projected to the middle of the grid."""
     x, y = float(np.mean(grid.x)), float(np.mean(grid.y))
     return max(pixel_at(camera, x, y) for camera in rig.cameras.values())

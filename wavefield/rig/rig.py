@@ -178,14 +178,14 @@ class Rig:
 
 
 def middle_camera(rig: Rig, names: Sequence[str]) -> str:
-    """Return the name of the camera, out of `names`, with the smallest sum of distances to the others."""
+    """Return the camera among `names` whose distances to the other cameras have the smallest sum."""
     centres = np.array([rig[n].centre for n in names])
     reach = np.linalg.norm(centres[:, None] - centres, axis=-1).sum(axis=1)
     return names[int(np.argmin(np.round(reach / max(reach.max(), 1e-30), 9)))]
 
 
 def pairs_of(rig: Rig, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of cameras, out of `names`, whose images are compared with each other.
-    They are the middle camera (`middle_camera`) with each of the others."""
+    """Return the pairs of cameras, among `names`, whose images are compared with each other.
+    Each pair is the `middle_camera` and one of the other cameras."""
     reference = middle_camera(rig, names)
     return tuple((reference, n) for n in names if n != reference)

@@ -71,7 +71,7 @@ def solve_displacement(jacobian: ArrayLike, displacement: ArrayLike) -> Array:
 
 def parallax(rig: Rig, pair: tuple[str, str], x: ArrayLike, y: ArrayLike) -> Array:
     """Return the difference between two cameras' sight lines at x, y (m) on z = 0, in m per m of height.
-    It is dx/dz and dy/dz along the first sight line minus those along the second, (2, ...)."""
+    It is (dx/dz, dy/dz) along the first sight line minus that along the second, (2, ...)."""
     first, second = (rig[name].sight_line(x, y) for name in pair)
     return np.subtract(first, second)
 

@@ -111,6 +111,5 @@ def _frame_on_plane(rig: Rig, points: Array) -> tuple[Array, Array]:
 
 
 def with_water_level(rig: Rig, height: float) -> Rig:
-    """Return a rig whose plane z = 0 is `height` metres above the present one, which is the flat target's.
-    A negative height is below."""
+    """Return a rig whose plane z = 0 is `height` metres above the present z = 0; negative is below."""
     return rig.moved(np.eye(3), (0.0, 0.0, height), water_above_target_m=float(height))

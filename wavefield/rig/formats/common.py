@@ -22,7 +22,7 @@ FIRST_CAMERA: Pose = np.eye(3), np.zeros(3)  # the world is the first camera's f
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What the user states about a file that may not state it: image sizes, camera names, unit of length."""
+    """Details that the user gives because a file may lack them: image sizes, camera names, unit of length."""
 
     sizes: Mapping[str, Size] | None = None  # Image (width, height) by camera, px
     names: Sequence[str] | None = None  # Names of the cameras, in the file's order
@@ -90,9 +90,8 @@ def rig_of_file(
     own: Sequence[str] | None = None,
 ) -> Rig:
     """Make a rig of the cameras that a file stores.
-    `origin` is what error messages call the file, and `note` is written to the provenance. The names that the
-    file gives to its cameras, `own`, are used if the user gave none, and if they are distinct and not
-    empty."""
+    `origin` is the file's name in error messages, and `note` is written to the provenance. The file's own
+    camera names, `own`, are used if the user gave none and they are distinct and not empty."""
     if cameras[0].pose is FIRST_CAMERA:
         left_out = "no pose in the world: the frame is that of the first camera; level it on the water"
         note = {"left_out": left_out, **note}
@@ -110,7 +109,7 @@ def rig_of_file(
 
 def rotation_near(matrix: Array) -> Array:
     """Return the rotation (3, 3) nearest to a matrix with rounding errors.
-    RigError if an element of the matrix differs from it by over 0.001."""
+    RigError if an element of the rotation differs from the matrix by over 0.001."""
     U, _, V = np.linalg.svd(matrix)
     nearest: Array = U @ V
     if not np.abs(nearest - matrix).max() < 1e-3 or np.linalg.det(nearest) < 0:
@@ -138,7 +137,7 @@ def numbers_of(parent: ET.Element, tag: str, count: int | None = None) -> list[f
 
 
 def refuse_terms(camera: Camera, program: str, *terms: str) -> None:
-    """Raise a RigError if a lens term of a camera is not zero and not among `terms`, those of the program."""
+    """Raise a RigError if a lens term other than `terms`, which `program` supports, is not zero."""
     extra = [
         term
         for term in ("k1", "k2", "p1", "p2", "k3", "tau_x", "tau_y", "skew")

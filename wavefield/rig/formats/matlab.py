@@ -36,7 +36,7 @@ def load_matlab(path: Path, options: ImportOptions) -> Rig:
     length, unit = options.length(None, _world_units(data))
 
     def second(R: ArrayLike, T: ArrayLike) -> Pose:
-        """Return the pose of the second camera in the frame of the first, with the translation in metres."""
+        """Return the pose of the second camera in the first camera's frame, translation in metres."""
         return rotation_near(np.asarray(R, float)), length * np.ravel(np.asarray(T, float))
 
     if "fc_left" in data:

@@ -67,8 +67,8 @@ def _nodes(path: Path) -> Nodes:
 
 
 def _parts_of_cameras(nodes: Nodes) -> dict[str, Parts]:
-    """Return the nodes of a file by camera, and for each camera by their key in `Parts`.
-    The camera is a number, left or right (l, r) in the name of a node, or else ""."""
+    """Return the nodes of a file, by camera and then by their key in `Parts`.
+    The camera is a number or side (left, right, l, r) in a node's name, or "" if there is neither."""
     out: dict[str, Parts] = {}
     for name, value in nodes:
         head = re.match(r"(?:cam(?:era)?)?(\d+)", name)
@@ -124,7 +124,7 @@ def load_opencv(path: Path, options: ImportOptions) -> Rig:
 
 
 def _cameras(nodes: Nodes) -> list[Parts]:
-    """Return the nodes of each camera, in order, with the nodes that all cameras share.
+    """Return the nodes of each camera, in order; nodes that belong to all cameras are added to each.
     RigError if there is no camera matrix."""
     found = _parts_of_cameras(nodes)
     shared = found.get("", {})
