@@ -42,9 +42,9 @@ GROUP_SPREAD = 0.002  # standard deviation of their positions in the cluster, m
 
 
 def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, end: Velocity) -> Array:
-    """Return positions (2 or 3, ...), m, after one fourth-order Runge-Kutta step of length h, s.
-    `start`, `middle` and `end` are functions of x and y, m, that return the velocity, m/s, at the beginning,
-    the middle and the end of the step."""
+    """Return positions (2 or 3, ...), m, after one fourth-order Runge-Kutta step of duration h, s.
+    `start`, `middle` and `end` are functions of x and y, m, that return the velocity, m/s, at the
+    beginning, the middle and the end of the step."""
     k1 = start(position[0], position[1])
     p2 = position + h / 2 * k1
     k2 = middle(p2[0], p2[1])
@@ -56,7 +56,7 @@ def runge_kutta(position: Array, h: float, start: Velocity, middle: Velocity, en
 
 
 def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[Array, Array]:
-    """Return x, y, m, of points that the surface water carries from time `start` to time `end`, s.
+    """Return positions x, y, m, at time `end`, s, of points that drift with the surface water from `start`.
     `end` may be before `start`. Points that leave the basin become NaN."""
     steps = max(1, int(np.ceil(abs(end - start) / MAX_SUBSTEP_S - 1e-9)))
     h = (end - start) / steps
@@ -72,8 +72,8 @@ def carry(basin: Basin, x: Array, y: Array, start: float, end: float) -> tuple[A
 
 def centred_path(carried: Callable[[Array, Array, float], Array], x: Array, y: Array, half: float) -> Array:
     """Return the start and end points, (2, 2 or 3, ...), m, of paths from time -half to half, s.
-    The mean of start and end is at x, y. `carried(px, py, t)` returns where water that is at (px, py) at time
-    0 is at time t."""
+    The mean of start and end is at x, y, m. `carried(px, py, t)` returns the position at time t of water
+    that is at (px, py) at time 0."""
     px, py = x, y
     # correct the position at mid-time until the mean of both ends is the given point
     for _ in range(3):
@@ -93,7 +93,7 @@ class BeadField:
 
 
 class Population:
-    """Beads on a rectangle of water with limits x and y, m; those that leave return on the other side.
+    """Beads on a rectangle of water with limits x and y, m; a bead that leaves returns on the opposite side.
     A small fraction moves to random places each second, so that the density stays even in long records.
     `cameras` is the number of cameras."""
 

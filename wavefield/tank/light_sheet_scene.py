@@ -23,7 +23,7 @@ MAX_TURN = 0.2  # largest phase change that a particle sees in a sub-step, rad
 
 @dataclass(frozen=True)
 class SheetFlow:
-    """A steady random flow, free of divergence, periodic in x and y, and uniform through the sheet."""
+    """A steady, random, divergence-free flow, periodic in x and y, that does not vary across the sheet."""
 
     k: Array  # (n, 2): Wave vectors, rad/m
     along: Complex  # (n,): Amplitudes of the velocity in the plane, perpendicular to k, m/s
@@ -32,8 +32,8 @@ class SheetFlow:
     @classmethod
     def random(cls, settings: Sheet, period: tuple[float, float], seed: int) -> "SheetFlow":
         """Return a random flow with the rms velocities of `settings`.
-        Wavelengths are spread evenly in the logarithm from `settings.shortest` to half the smaller period;
-        `period` holds those along x and y, m."""
+        Wavelengths are uniform in the logarithm from `settings.shortest` to half the smaller `period`;
+        `period` is along x and y, m."""
         rng = np.random.default_rng([seed, 11])
         longest = 0.5 * min(period)
         k = 2 * np.pi / longest * (longest / settings.shortest) ** rng.uniform(0.0, 1.0, WAVES_OF_FLOW)
@@ -56,8 +56,8 @@ class SheetFlow:
         return out.reshape(3, *np.shape(x))
 
     def carry(self, x: Array, y: Array, time: float) -> Array:
-        """Return where fluid that is at (x, y), m, is after `time`, s.
-        The result is x, y and the rise normal to the sheet, (3, ...), m."""
+        """Return the position after `time`, s, of fluid that is now at (x, y), m, in the middle of the sheet.
+        The result is x, y and the displacement normal to the sheet, (3, ...), m."""
         fastest = np.hypot(*self.k.T).max() * 2.0 * np.sqrt(np.sum(np.abs(self.along) ** 2))
         steps = max(1, int(np.ceil(abs(time) * fastest / MAX_TURN)))
         position = np.stack([x, y, np.zeros(np.shape(x))])
@@ -89,9 +89,9 @@ def _velocity(
 
 
 class Particles:
-    """Particles in a light sheet that a flow moves. They fill a layer twice as thick as the sheet evenly.
-    x and y are the limits of the layer, m; particles that leave it return on the opposite side. `cameras` is
-    the number of cameras."""
+    """Particles that a flow moves, spread evenly over a layer twice as thick as the light sheet.
+    x and y are the limits of the layer, m; particles that leave it return on the opposite side. `cameras`
+    is the number of cameras."""
 
     def __init__(
         self, scene: Scene, settings: Sheet, x: tuple[float, float], y: tuple[float, float], cameras: int

@@ -63,9 +63,10 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
 
 
 def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: tuple[int, int]) -> Rig:
-    """Return cameras at `angle` degrees on both sides of a light sheet, and if `cameras` is 3 a vertical one.
-    `distance` from the sheet and the size `pixel` of a pixel on it are in m; `size` is (width, height), px.
-    The outer sensors are tilted (Scheimpflug)."""
+    """Return cameras at `angle` degrees from a light sheet's normal, and a third vertical one if `cameras` is
+    3.
+    `distance` from the sheet and the size `pixel` of a pixel on it are in m; `size` is (width, height),
+    px. The sensors of the two oblique cameras are tilted (Scheimpflug)."""
     made = {}
     for name, side, roll, k1 in (("cam1", -1, 0.4, -0.04), ("cam2", 1, -0.5, -0.03), ("cam3", 0, 0.3, 0.03)):
         lean = np.radians(angle * side)
@@ -124,8 +125,8 @@ def bounds(
 
 
 def _bounding(camera: Camera, height: float) -> Array:
-    """Return points (n, 2), m, around the part of the plane at `height`, m, that is in the camera's view.
-    If the horizon is in view, the part ends there."""
+    """Return points (n, 2), m, around the part of the horizontal plane at `height`, m, that the camera sees.
+    If the camera sees the horizon, only nearby water is included."""
     corners = camera.corners(height)
     if np.isfinite(corners).all():
         return corners
@@ -134,7 +135,7 @@ def _bounding(camera: Camera, height: float) -> Array:
 
 
 def pixel_footprint(camera: Camera) -> tuple[float, float]:
-    """Return the size along x and along y, m, of the still water that the image's middle pixel covers."""
+    """Return the size along x and along y, m, of the image's middle pixel projected to still water."""
     x, y = camera.unproject((camera.size[0] - 1) / 2, (camera.size[1] - 1) / 2)
     jacobian = camera.jacobian(x, y, 0.0)
     return float(1.0 / np.hypot(*jacobian[:, 0])), float(1.0 / np.hypot(*jacobian[:, 1]))

@@ -25,20 +25,20 @@ def _rising(limits: Limits) -> Limits:
 
 
 class Part(ConfigSection):
-    """Base of all parts of a scene: settings that are checked once and cannot be changed afterwards."""
+    """Base class of the parts of a scene; its settings are validated and cannot be changed afterwards."""
 
     model_config = ConfigDict(allow_inf_nan=True)  # deep water has depth .inf
 
 
 class PaperRig(Part):
-    """The cameras of Aubourg et al. (2019): all three, only the two oblique ones, or with a fourth."""
+    """The cameras of Aubourg et al. (2019): all three, only the two oblique ones, or all and a fourth."""
 
     cameras: Literal[2, 3, 4] = 3
     scale: Annotated[float, Field(gt=0, le=2)] = Field(default=1.0, description="image size over full size")
     crop: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="share of the sensor read out")
 
     def build(self) -> Rig:
-        """Return the rig with these settings."""
+        """Return the exact cameras of Aubourg et al. (2019) with these settings."""
         return rigs.paper_rig(self.scale, self.crop, self.cameras)
 
 
@@ -54,7 +54,7 @@ class SheetRig(Part):
     size: tuple[int, int] = Field(default=(800, 600), description="width and height of the images, px")
 
     def build(self) -> Rig:
-        """Return the rig with these settings."""
+        """Return the exact cameras around the light sheet."""
         return rigs.sheet_rig(self.cameras, self.angle, self.distance, self.pixel, self.size)
 
 
@@ -70,17 +70,17 @@ class PlatformRig(Part):
     size: tuple[int, int] = Field(default=(800, 600), description="width and height of the images, px")
 
     def build(self) -> Rig:
-        """Return the rig with these settings."""
+        """Return the two exact cameras on the platform."""
         return rigs.platform_rig(self.height, self.baseline, self.pitch, self.focal, self.size)
 
 
 class RigFile(Part):
-    """Any cameras, from a rig file."""
+    """Cameras read from a rig file."""
 
     file: str = Field(description="a rig as YAML; relative to the scene file")
 
     def build(self) -> Rig:
-        """Return the rig of the file."""
+        """Return the cameras that the rig file describes."""
         return Rig.load(self.file)
 
 
@@ -301,7 +301,7 @@ class StillSea(_SeaSettings):
 
 
 class SingleWave(PlaneWave, _SeaSettings):
-    """A sea with one plane wave, and perhaps the second harmonic of it."""
+    """A sea with one plane wave and, optionally, its second harmonic."""
 
     kind: Literal["single"]
     order: Literal[1, 2] = Field(default=1, description="2 adds the second harmonic bound to the wave")

@@ -180,7 +180,7 @@ class Sea:
 
     @property
     def shortest(self) -> float:
-        """2 pi over the largest |kx| or |ky| of all waves, m; infinite if there are no waves."""
+        """Shortest wavelength along x or y, m: 2 pi over the largest |kx| or |ky|; infinite without waves."""
         top = max(self._layout.kx.max(initial=0.0), np.abs(self._layout.ky).max(initial=0.0))
         return 2 * np.pi / top if top > 0 else np.inf
 
@@ -200,7 +200,7 @@ class Sea:
         )
 
     def _coefficients(self, time: float) -> dict[str, Complex]:
-        """Return the complex amplitudes (nky, nkx) of all waves at a time, s, by name of each field but w."""
+        """Return complex amplitudes (nky, nkx) of all waves at a time, s, by name of field (all but w)."""
         turned = self.amplitude * np.exp(-1j * self.omega * time)
         velocity_over_elevation = self.sigma / (self.k * np.tanh(self.k * self.depth))
         waves = {
@@ -226,8 +226,8 @@ class Sea:
 
     def sums(self, ex: Complex, ey: Complex, time: float, names: Sequence[str]) -> dict[str, Array]:
         """Return the fields `names`, (ny, nx), at a time, s, as sums over all waves, without the current.
-        `ex` (nkx, nx) is exp(i kx x) and `ey` (ny, nky) exp(i ky y), each times any function of the
-        wavenumber. The field w cannot be summed."""
+        `ex` (nkx, nx) is exp(i kx x) and `ey` (ny, nky) is exp(i ky y); each may contain a factor that
+        depends on the wavenumber. The field w is not available."""
         along_x = np.concatenate([ex.real, -ex.imag])
         along_y = np.concatenate([ey.real, ey.imag], axis=1)
         coefficients = self._coefficients(time)
@@ -271,7 +271,7 @@ def _needed(names: Sequence[str]) -> tuple[str, ...]:
 
 @compiled(fastmath=True)
 def _product(a: Array, b: Array) -> Array:
-    """Return the matrix product a @ b, computed on one thread, whereas BLAS may use many."""
+    """Return the matrix product a @ b, computed on one thread."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
         for k in range(a.shape[1]):

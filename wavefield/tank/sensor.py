@@ -38,9 +38,9 @@ def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
 
 
 def illumination(size: tuple[int, int], unevenness: float, seed: int) -> Image:
-    """Return the relative illumination (row, column) of an image.
-    It is a gradient in a random direction, with dark edges. `size` is (width, height), px; `unevenness` is
-    the relative difference of light across the image."""
+    """Return the relative illumination (row, column) of an image: a gradient in a random direction, darker
+    edges.
+    `size` is (width, height), px; `unevenness` is the relative difference of light across the image."""
     angle = np.random.default_rng([seed, 3]).uniform(0, 2 * np.pi)
     x = np.linspace(-1, 1, size[0], dtype=np.float32)
     y = np.linspace(-1, 1, size[1], dtype=np.float32)[:, None]
@@ -52,8 +52,8 @@ def expose(
     light: Image, read: float, shot: float, bits: int, rng: np.random.Generator
 ) -> NDArray[np.unsignedinteger]:
     """Return the image (row, column) that a camera stores, with noise, as integers of 8 or 16 `bits`.
-    `light`, and `read`, the rms of the read noise, are in grey levels of 255; `shot` is the variance per
-    level."""
+    `light` and the rms read noise `read` are in grey levels from 0 to 255; `shot` is the shot-noise
+    variance per grey level."""
     value = light.astype(np.float64)
     if read or shot:
         noise = rng.standard_normal(light.shape, np.float32)

@@ -81,7 +81,7 @@ class Tank:
         return truth(self.basin, grid, time, 1.0 / self.scene.frame_rate)
 
     def spot_width(self, camera: Camera) -> float:
-        """Return the standard deviation of a bead's image, px, from the lens' blur and the bead's size."""
+        """Return the standard deviation of a bead's image, px, due to the lens blur and the bead's size."""
         surface = self.scene.surface
         size = 0.0 if isinstance(surface, (Texture, SeaSurface)) else surface.diameter
         pixel = float(np.sqrt(np.prod(rigs.pixel_footprint(camera))))
@@ -94,8 +94,8 @@ class Tank:
         return {name: self.draw(name, frame, self.beads(name, frame)) for name in names}
 
     def beads(self, name: str, frame: int) -> BeadField | None:
-        """Return the beads that the camera `name` shows in a frame; a late camera shows an earlier frame.
-        Returns None if the surface is painted or the open sea."""
+        """Return the beads that the camera `name` records in a frame; a late camera records an earlier frame.
+        Returns None if the water has no beads (painted surface or open sea)."""
         if isinstance(self.scene.surface, (Texture, SeaSurface)):
             return None
         return self.population.frame(self._frame_taken(name, frame))
@@ -119,8 +119,8 @@ class Tank:
         return max(frame - self.scene.faults.get(name, _NO_FAULT).late, 0)
 
     def _beads(self, beads: BeadField, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
-        """Return the image of the beads that the camera `name` takes, (row, column), in grey levels of 255.
-        It is without noise. `fault` holds shift, turn, delay and defocus of the camera."""
+        """Return the noise-free image (row, column) of the beads in camera `name`, grey levels 0 to 255.
+        `fault` holds shift, turn, delay and defocus of the camera."""
         assert not isinstance(self.scene.surface, (Texture, SeaSurface))
         camera = _shifted(self.rig[name], fault.shift)
         if any(fault.turned) and frame >= fault.since:
@@ -165,8 +165,8 @@ class Tank:
         return texture.Paint(self.basin.x, self.basin.y, mesh, self.scene.seed)
 
     def _painted(self, frame: int, name: str, fault: Fault) -> NDArray[np.float32]:
-        """Return the image of the textured water surface that the camera `name` takes, (row, column).
-        It is in grey levels of 255, without noise. `fault` holds shift and defocus of the camera."""
+        """Return the noise-free image (row, column) of textured water in camera `name`, grey levels 0 to 255.
+        `fault` holds shift and defocus of the camera."""
         settings = self.scene.surface
         assert isinstance(settings, Texture)
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
@@ -193,8 +193,7 @@ class Tank:
         return tuple((paint(kind, 0), paint(kind, 1)) for kind in range(2))
 
     def _open_sea(self, frame: int, name: str, settings: SeaSurface) -> NDArray[np.float32]:
-        """Return the image of sea and sky that the camera `name` takes, (row, column).
-        It is in grey levels of 255, without noise."""
+        """Return the noise-free image (row, column) of sea and sky in camera `name`, grey levels 0 to 255."""
         camera = self.rig[name]
         snapshot = self.basin.snapshot(self.time(frame), ("z", "z_x", "z_y"))
         seen = texture.visible_water(camera, snapshot, self.sea.reach)
@@ -208,7 +207,7 @@ class Tank:
         return np.asarray(gaussian_filter(image, self.scene.light.blur, mode="nearest"), np.float32)
 
     def _drift_since_start(self, frame: int) -> list[RectBivariateSpline]:
-        """Return the displacement, m, from where water is at `frame` back to where it was at frame 0.
+        """Return the displacement, m, from the position of water at `frame` back to its position at frame 0.
         The result is a spline for x and one for y; both are functions of (y, x) at `frame`, m."""
         with self._drift_lock:  # other threads may be drawing other frames
             return self._drifts[frame]

@@ -54,7 +54,7 @@ ROUGHNESS = 0.15  # rms slope too fine to be drawn, which keeps the far sea dark
 
 @dataclass(frozen=True)
 class VisibleWater:
-    """The water that each pixel shows, (row, column); NaN where the pixel shows no simulated water."""
+    """Position and slope of the water that each pixel shows, (row, column); NaN if the pixel shows none."""
 
     x: Array  # positions of the water, m
     y: Array
@@ -140,9 +140,10 @@ def _radiance(upward: Array) -> Array:
 def texture_at(
     seen: VisibleWater, drift: Sequence[RectBivariateSpline], paints: Sequence[Paint], far: float
 ) -> Image:
-    """Return the sum of textures that move with the water, (row, column); it fades towards a distance `far`.
-    `drift` is the displacement of the water back to its place at the first frame, m, as functions of (y, x):
-    one for x, one for y."""
+    """Return the sum of textures that move with the water, (row, column); it fades out at the distance `far`,
+    m.
+    `drift` holds two functions of (y, x): the displacements along x and y, m, back to the place at frame
+    0."""
     width, height = seen.x.shape[1], seen.x.shape[0]
     fine = []
     for place, moved in zip((seen.x, seen.y), drift, strict=True):

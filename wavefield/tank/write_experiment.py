@@ -113,7 +113,7 @@ def _draw(
     most: int,
     report_progress: Callable[[], None],
 ) -> None:
-    """Draw and write images on the threads of `pool`, and report each one that is finished.
+    """Draw and write images on the threads of `pool`, and call `report_progress` after each one.
     At most `most` images wait or are being drawn at once."""
     waiting: deque[Future[None]] = deque()
     for path, drawing in drawings:
@@ -233,8 +233,8 @@ def _describe_target(scene: Scene) -> dict[str, object]:
 
 
 def _pairing(tank: Tank) -> dict[str, object]:
-    """Return the blocks `surface` (pairs with the most upright camera) and `velocity` (the other cameras).
-    They are empty for a single camera."""
+    """Return the blocks `surface` and `velocity` of the experiment file; empty for a single camera.
+    Surface pairs contain the most upright camera. Velocity uses the others, or both cameras of two."""
     names = list(tank.rig)
     if len(names) < 2:
         return {}
