@@ -18,7 +18,7 @@ from wavefield.variables import CUBE_FIELDS, FrameFault, FrameStatus
 
 def test_check_reports_what_a_run_will_take(tank, reference):
     found = check(tank, workflow=HERE)
-    assert found.ready
+    assert found.problems == ()
     assert found.steps == 16
     assert [(c.name, c.frames, c.size) for c in found.cameras] == [
         ("cam1", 17, (123, 123)),
@@ -62,7 +62,7 @@ def test_check_names_what_is_missing_and_does_not_stop_there(own_tank):
     assert "cam1: missing: frame 3-4, 9" in str(found)
     (folder / "rig.yaml").unlink()
     found = check(own_tank, workflow=HERE)
-    assert not found.ready
+    assert found.problems
     assert "not ready: " in str(found)
     assert "rig.yaml" in str(found)
     assert found.cost is None

@@ -108,7 +108,7 @@ def _next(found: Check, source: Path, rig: Path | None) -> None:
         print_next("check", source, *more, first="correct what the remarks list")
         return
     if found.cost and found.cost.seconds > TRIAL_SECONDS:
-        first = found.first_frame
+        first = found.cameras[0].first
         click.echo(
             f"A trial first: {command_line('run', source, *more, '--frames', f'{first}:{first + 49}')}"
         )

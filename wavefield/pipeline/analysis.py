@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wavefield.atomic_write import write_error, writing
+from wavefield.atomic_write import Product, atomic, check_writable, write_error, writing
 from wavefield.errors import CubeError, ExperimentError, RunStopped, StoreError
 from wavefield.execution.cluster import MapUnordered, open_cluster
 from wavefield.execution.process import stop_signals, stopped_by
@@ -147,7 +147,6 @@ def analyze(
 def _analyze(cube: "str | Path | xr.Dataset", out: str | Path | None, **options: Any) -> "xr.DataTree":
     """Compute the waves of a cube, and write them to the store ``out`` unless that is None.
     An option ``each`` replaces ``map``: ``each(work, items)`` yields results in the order of the items."""
-    from wavefield.atomic_write import Product, check_writable
     from wavefield.store.recipe import source_of, state_of
     from wavefield.store.results import WAVES, write_waves
     from wavefield.waves.analysis import analyze as waves_of
@@ -164,9 +163,8 @@ def _analyze(cube: "str | Path | xr.Dataset", out: str | Path | None, **options:
 
 
 def _through_disk(work: Callable[[Any], Any], folder: Path, numbered: tuple[int, Path]) -> Path:
-    """Read a pickled item from a file, apply `work` to it, and return the path of the pickled result.
-    `numbered` is the number of the item and its file. Files are used because items and results are too large
-    for messages between processes."""
+    """Apply `work` to a pickled item, and return the path of the pickled result; both are too large for
+    messages between processes. `numbered` is the number of the item and its file."""
     try:
         item = pickle.loads(numbered[1].read_bytes())
     except FileNotFoundError:
@@ -212,11 +210,9 @@ def write_smoothed(
     store: Path, output: Path | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Path:
     """Write the smoothed fields of a cube (`wavefield.smooth`) to a Zarr store, and return its path.
-    By default `output` is next to the cube, `store`. `progress` is called with the number of steps written
-    and the number of all steps."""
+    By default `output` is next to the cube, `store`. `progress` gets numbers of steps: written, all."""
     import zarr
 
-    from wavefield.atomic_write import Product, atomic, check_writable
     from wavefield.store import beside
     from wavefield.store.cube import open_cube
     from wavefield.store.recipe import source_of, state_of

@@ -135,11 +135,8 @@ def _short_waves(sample: xr.Dataset, prepared: PreparedRun) -> Iterator[Remark]:
         f"They are aliased at {rate:.3g} Hz: their velocities are not resolved, and the standard "
         "uncertainties may be too small. Longer waves are not affected"
     )
-    yield from remarks.remark_on_unresolved_waves(
-        *fast_waves(record.elevation, prepared.geometry.pixel, rate),
-        aliased,
-        "At least double the frame rate",
-    )
+    fast = fast_waves(record.elevation, prepared.geometry.pixel, rate)
+    yield from remarks.remark_on_unresolved_waves(*fast, aliased, "At least double the frame rate")
     if not all(record.ripples):
         return
     unresolved = float(ripples(record.ripples, rate)[3]) * rate**2
@@ -162,8 +159,7 @@ def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
 
 def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
     """Return the fraction of the nodes in view that were measured; 0 if no node is in view.
-    With ``by_all``, nodes that were measured by only some of the cameras do not count. ``quality`` is the
-    variable of the cube, of any shape."""
+    With ``by_all``, only nodes that all cameras measured count. ``quality`` may have any shape."""
     visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
     marks = np.uint16(Quality.MEASURED | (Quality.FEWER_CAMERAS if by_all else 0))
     return float(((quality[visible] & marks) == Quality.MEASURED).mean()) if visible.any() else 0.0

@@ -43,9 +43,8 @@ _PARAMETERS = ("run", "recipe", "location")
 
 def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = None) -> str:
     """Add an experiment file to a catalog as a run, and return the name of the run.
-    A catalog that does not exist is created. ``name`` is by default the name of the experiment. A cube
-    ``cube.zarr`` next to the experiment file is added, too. ExperimentError if the catalog has another run
-    of that name."""
+    A catalog that does not exist is created. ``name`` is by default that of the experiment. A ``cube.zarr``
+    next to the experiment file is added, too. ExperimentError if the catalog has another run of that name."""
     from wavefield.series import Experiment
 
     catalog = Path(catalog).absolute()

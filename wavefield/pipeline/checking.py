@@ -17,13 +17,7 @@ from wavefield.execution.cluster import count_workers
 from wavefield.execution.process import one_opencv_thread, peak_memory
 from wavefield.execution.workflow import Workflow
 from wavefield.grid import Grid
-from wavefield.pipeline.assess import (
-    compare_cameras,
-    fraction_measured,
-    measure_synchrony,
-    record_span,
-    remarks_on_fields,
-)
+from wavefield.pipeline import assess
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.learning import learn_from, samples
 from wavefield.pipeline.prepare import (
@@ -171,20 +165,10 @@ class Check:
         """Return the result as a dict of plain data, which `wavefield check --json` prints."""
         return asdict(self) | {
             "path": str(self.path),
-            "first_frame": self.first_frame,
+            "first_frame": self.cameras[0].first,
             "exit_status": self.exit_status,
             "verdict": self.verdict.to_dict() if self.verdict else None,
         }
-
-    @property
-    def first_frame(self) -> int:
-        """Number of the first frame of the record: number of its file plus `offset` of the camera."""
-        return self.cameras[0].first
-
-    @property
-    def ready(self) -> bool:
-        """Whether a run can start."""
-        return not self.problems
 
     @property
     def line(self) -> str:
@@ -270,8 +254,8 @@ def check(
     ...     for number in range(3):
     ...         write_image(Path(folder) / f"left/{number}.tif", np.eye(64, k=number, dtype=np.uint8))
     ...     found = check(file)
-    >>> found.steps, found.ready, len(found.problems)
-    (2, False, 1)
+    >>> found.steps, len(found.problems)
+    (2, 1)
     """
     experiment, _ = load_files(experiment, None)  # errors of the workflow are reported as a problem below
     series = experiment.open_frames()
@@ -287,34 +271,33 @@ def check(
             experiment.at_rest().open_frames()  # raises if images of the still-water record are missing
         with one_opencv_thread():
             trial = measure_some(prepared)
-        faults = compare_cameras(prepared, trial.fields["quality"])
+        faults = assess.compare_cameras(prepared, trial.fields["quality"])
     except (RigError, ExperimentError) as error:
         problem = str(error)
-    coverage = expected_coverage(prepared.rig, prepared.grid) if prepared else None
     every = [
         *record.remark_on_frames(measuring, {name: inspections[name] for name in measuring}),
         *record.remark_on_recordings(experiment, series),
-        *remarks.remark_on_probe_file(experiment, record_span(experiment, series)),
+        *remarks.remark_on_probe_file(experiment, assess.record_span(experiment, series)),
     ]
     if trial and (cost := trial.cost).free < cost.disk:
         sentence = f"the run will write {spell_size(cost.disk)}, but only {spell_size(cost.free)} are free"
         means, remedy = "The run may stop before its end", "Free some space or write elsewhere with -o"
         values = {"bytes": cost.disk, "free": cost.free}
         every.append(Remark("disk", "disk space", "remark", sentence, means, remedy, values))
-    if prepared and coverage is not None:
-        every += [
-            remarks.remark_on_rest(prepared.experiment, prepared.rig),
-            *remarks.remark_on_coverage(coverage),
-        ]
+    coverage = None
+    if prepared:
+        coverage = expected_coverage(prepared.rig, prepared.grid)
+        every.append(remarks.remark_on_rest(prepared.experiment, prepared.rig))
+        every += remarks.remark_on_coverage(coverage)
     delays = ""
     if trial and faults:
         every += faults.remarks
         if faults.weight != "grave":
             fields = {name: (CUBE_DIMS, trial.fields[name]) for name in ("u", "v", "w", "quality")}
             frames = range(trial.start + 1, trial.start + len(trial.fields["u"]))
-            found = measure_synchrony(trial.prepared, xr.Dataset(fields), frames, trial.start)
+            found = assess.measure_synchrony(trial.prepared, xr.Dataset(fields), frames, trial.start)
             delays = camera_motion.spell_delays(found.delays)
-            every += [*camera_motion.remarks_on_clocks(found), *remarks_on_fields(trial.fields)]
+            every += [*camera_motion.remarks_on_clocks(found), *assess.remarks_on_fields(trial.fields)]
     verdict = Verdict(every, *(faults.pairs, faults.frames) if faults else ())
     return Check(
         experiment=experiment.name,
@@ -325,7 +308,7 @@ def check(
         rig=tuple(prepared.rig) if prepared else (),
         grid=prepared.grid if prepared else None,
         coverage=coverage,
-        measured=fraction_measured(trial.fields["quality"]) if trial else None,
+        measured=assess.fraction_measured(trial.fields["quality"]) if trial else None,
         cost=trial.cost if trial else None,
         problems=(problem,) if problem else (),
         verdict=verdict if every or faults else None,

@@ -299,9 +299,8 @@ def _images(
 def _times(
     arrays: Mapping[str, xr.DataArray], rig: Rig, attributes: Mapping[str, Any]
 ) -> tuple[np.ndarray, float]:
-    """Return the times of the frames (n,), s, and the frame rate, Hz.
-    Raises an error if images of cameras have different or uneven times, or another size than in the rig.
-    ``attributes`` may contain the ``frame_rate``."""
+    """Return the times of the frames (n,), s, and the frame rate, Hz, which ``attributes`` may contain.
+    Raises an error if images of cameras have different or uneven times, or another size than in the rig."""
     name, first = next(iter(arrays.items()))
     for other, array in arrays.items():
         if array.dims[0] != "time" or array.ndim != 3:

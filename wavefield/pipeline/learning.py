@@ -107,9 +107,8 @@ def learn_from(
 
 
 def once_per_cube(geometry: "GridGeometry", record: "LearnedRecord | None") -> dict[str, np.ndarray]:
-    """Return the variables that a cube has once, not per step, by name.
-    They are the gains of the measurement for waves (`tabulated`), and ``z_level_std``, the standard
-    uncertainty of the level z = 0, m."""
+    """Return the variables that a cube has once, not per step, by name: the gains of the measurement for
+    waves (`tabulated`), and ``z_level_std``, the standard uncertainty of the level z = 0, m."""
     from wavefield.measurement.error_budget import level_std
     from wavefield.measurement.model import tabulated
 

@@ -37,8 +37,7 @@ SAMPLE_FRAMES = 3  # frames of each camera with a checksum: first, middle and la
 
 def image_names(experiment: Experiment, camera: str) -> list[Any]:
     """Return [file names or their pattern, offset of frame numbers, file of time stamps] of a camera.
-    A recipe (the record of all inputs of a cube) holds this. More than 20 names are replaced by their number
-    and hash."""
+    It is a part of the cube's recipe. More than 20 names are replaced by their number and hash."""
     section = experiment.cameras[camera]
     images: Any = section.images
     if not isinstance(images, str) and len(images) > 20:  # a long list is identified by its hash
@@ -49,9 +48,8 @@ def image_names(experiment: Experiment, camera: str) -> list[Any]:
 
 def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
     """Return attributes of a cube that describe its experiment but do not change the measured values.
-    They are the path of the experiment file, the folder of the images if the experiment names it, the
-    description, and depth and surface tension of the water. Paths are relative to the folder of ``store``;
-    that of images outside of the experiment's folder is absolute."""
+    Paths (experiment file; folder of the images, if named) are relative to the folder of ``store``; that of
+    images outside of the experiment's folder is absolute."""
     home, own = store.absolute().parent.resolve(), experiment.path.parent.resolve()
     out: dict[str, Any] = {"experiment_file": _relative(own / experiment.path.name, home)}
     if experiment.description:

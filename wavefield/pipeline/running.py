@@ -195,9 +195,8 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
 
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
-    """Return the chunks that must be measured, (first step, last step + 1), from the state of a store.
-    These are chunks that are not done. Chunks whose files are missing, or which had bad frames that can be
-    read now, are first marked in the store as not started."""
+    """Return the chunks of a store that are not done, each as (first step, last step + 1). Chunks whose files
+    are missing, or which had bad frames that can be read now, are first marked as not started."""
     from wavefield.measurement.images import usable
 
     missing = missing_chunks(path, layout)
@@ -257,7 +256,7 @@ class _Tracker:
     ``total`` is the number of all steps; ``done`` steps were measured before this run."""
 
     def __init__(self, total: int, done: int, progress: ProgressFunction | None) -> None:
-        self.total, self.done, self._progress = total, done, progress
+        self.total, self.done, self._progress = total, done, progress or (lambda *_: None)
         self._since, self._before, self._logged = time.monotonic(), done, 0.0
 
     def add(self, steps: int) -> None:
@@ -269,13 +268,9 @@ class _Tracker:
         if now - self._logged > 10 or self.done == self.total:
             self._logged = now
             log.info("%d of %d steps%s", self.done, self.total, f", {sentence}" if sentence else "")
-        self._tell(sentence)
+        self._progress(self.done, self.total, sentence)
 
     def report(self, sentence: str) -> None:
         """Report a stage of the run, such as "assessing the cube"."""
         log.info("%s", sentence)
-        self._tell(sentence)
-
-    def _tell(self, sentence: str) -> None:
-        if self._progress:
-            self._progress(self.done, self.total, sentence)
+        self._progress(self.done, self.total, sentence)
