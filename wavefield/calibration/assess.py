@@ -1,4 +1,4 @@
-"""Check target views before a calibration and the fitted rig after it; each problem becomes a sentence.
+"""Check target views before a calibration and the fitted rig after it; report problems in sentences.
 
 A pose is one position of the target, which several cameras photograph; a view is the image of one pose by one
 camera. A node is a marked point of the target, for example a corner or a dot.
@@ -91,8 +91,7 @@ def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, 
 
 
 def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float:
-    """Return the median width, metres, that one pixel of camera number `camera` covers at the target's
-    distance."""
+    """Return the median width, metres, of one pixel of camera number `camera`, projected to the target."""
     g = fit.geometry
     world = g.world(observations)[observations.camera == camera]
     depth = (world @ g.R[camera].T + g.T[camera])[:, 2]
@@ -247,7 +246,7 @@ def consistent_cameras(
     single: dict[str, SingleCamera], usable: UsableViews, mesh: float, findings: Findings
 ) -> dict[str, SingleCamera]:
     """Return the largest group of cameras that agree on the target's poses; one camera if none share a pose.
-    Views that contradict the other cameras are removed from `single` and `usable` in place. `mesh` is the
+    Views that contradict other cameras are removed from `single` and `usable` in place. `mesh` is the
     distance between neighbouring target nodes, metres."""
     consistency = compare_poses(single, mesh)
     _report_inconsistency(consistency, single, mesh, findings)

@@ -211,7 +211,7 @@ MAX_SHIFT = 0.4  # meshes between the same; counting from a wrong node shifts th
 
 @dataclass(frozen=True)
 class PoseConsistency:
-    """Result of `compare_poses`: the views and cameras that contradict the others."""
+    """Result of `compare_poses`: views and cameras whose target poses contradict the other cameras."""
 
     wrong_views: list[tuple[str, str]]  # (camera, pose) of single views that differ from all others
     wrong_cameras: list[str]  # Cameras outside the largest group of consistent ones
@@ -225,7 +225,7 @@ def transforms_by_pose(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
 
 
 def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsistency:
-    """Find views and cameras that contradict the others about the poses of the target.
+    """Find views and cameras whose target poses contradict the other cameras.
     `mesh` is the distance between neighbouring target nodes, metres."""
     names = list(cameras)
     pairs = [(a, b) for a, b in combinations(names, 2) if set(cameras[a].poses) & set(cameras[b].poses)]
@@ -291,8 +291,7 @@ def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
 
 def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) -> Array:
     """Return the vector (3,), m, between the positions of the target's origin found by cameras a and b.
-    It is in the frame of b and perpendicular to the sight line of b. R and t transform from a's frame to
-    b's."""
+    It is in b's frame and perpendicular to b's sight line. R and t transform from a's frame to b's."""
     expected = R @ a.poses[pose][1] + t
     observed = b.poses[pose][1]
     along = observed / np.linalg.norm(observed)
@@ -323,7 +322,7 @@ def linked_cameras(cameras: Mapping[str, SingleCamera], first: str) -> dict[str,
 
 @dataclass(frozen=True)
 class PhysicalFrame:
-    """The poses of the target, by index, that define z = 0 and the axes of the rig."""
+    """The indices of the target poses that define z = 0 and the axes of the rig's frame."""
 
     reference: int  # The pose whose axes are those of the frame
     placed: tuple[int, ...] = ()  # Poses whose nodes have known positions in this frame
@@ -331,9 +330,9 @@ class PhysicalFrame:
 
 
 def physical_frame(observations: Observations, flat: str, findings: Findings) -> PhysicalFrame:
-    """Choose poses that define the rig's frame: those of known position, or else `flat`, or the most seen.
-    `flat` is the name of the pose on z = 0, or empty. If there is no such pose, `findings` gets a problem or
-    note."""
+    """Choose the poses that define the rig's frame: known positions, else `flat`, else the most observed.
+    `flat` is the name of the pose on z = 0, or empty. If the last choice is needed, `findings` explains
+    it."""
     o = observations
     if o.placed:
         return PhysicalFrame(o.placed[0], placed=o.placed)

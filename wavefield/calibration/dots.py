@@ -102,8 +102,8 @@ def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes
 
 
 def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
-    """Return the connected part of a mask (n,) nearest to the point `at`, dilated by three pixels.
-    x and y (n,) are the columns and rows of the mask's pixels."""
+    """Return the connected part of a mask (n,) that is nearest to the point `at`, dilated by three pixels.
+    x and y (n,) are the columns and rows of the n pixels; `at` is (column, row)."""
     row, column = y - y.min() + 4, x - x.min() + 4
     raster = np.zeros((row.max() + 5, column.max() + 5), np.uint8)
     raster[row, column] = mask
@@ -206,7 +206,7 @@ def make_points(
 
 
 def find_dots(image: Image, target: Target) -> TargetPoints:
-    """Find the centres of a whole rectangular grid of round dots, dark on bright or bright on dark."""
+    """Find the centres of all dots of a complete rectangular grid, dark on bright or bright on dark."""
     grids = []
     for polarity in (image, 255.0 - image):
         lattice = dot_lattice(*find_blobs(polarity), polarity.shape[::-1])

@@ -48,7 +48,7 @@ class Levelled:
 
     @property
     def sentence(self) -> str:
-        """The tilt, the height and the misfit of sight lines in words, for the user."""
+        """The tilt, the height, and how far sight lines miss each other, in words for the user."""
         height = spell_uncertain(self.height, self.height_std, "m")
         turned = spell_uncertain(self.tilt, self.tilt_std, "degrees")
         return (
@@ -61,7 +61,7 @@ class Levelled:
 
     @property
     def _unknown(self) -> str:
-        """A clause that names the uncertainties that are unknown; empty if all are known."""
+        """A clause on the unknown uncertainties (of height, or of tilt and height); empty if known."""
         if np.isfinite(self.height_std):
             return ""
         which = "height" if np.isfinite(self.tilt_std) else "tilt and the height"
@@ -140,9 +140,9 @@ def _best_fit(
     distance: float | None,
 ) -> tuple[PlatformFit, tuple[float, float], str]:
     """Fit the mean surface to matched pixels, and also to the horizon if it agrees with the mean surface.
-    Returns the fit, the standard uncertainties of tilt (degrees) and height (m), and a sentence that names
-    the source of the vertical. `horizons` holds points (n, 2), px, by camera; `distance`, m, is between
-    two cameras."""
+    Returns the fit, the standard uncertainties of tilt (degrees) and height (m), and the source of the
+    vertical, in words. `horizons` holds points (n, 2), px, by camera; `distance`, m, is between two
+    cameras."""
     free = fit_platform(start, matches, {}, distance)
     std = jackknife_std(free, matches, {}, distance)
     if not horizons:

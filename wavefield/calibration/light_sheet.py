@@ -180,7 +180,7 @@ class LightSheet:
 
     @property
     def sentence(self) -> str:
-        """The sheet's position, the disparities and cameras that moved, in words for the user."""
+        """A text for the user: the sheet's position, the disparities, and the cameras that moved."""
         x, y = (1e3 * part for part in self.slope)
         return (
             f"light sheet: {1e3 * self.height:+.3f} mm at the origin, slope {x:+.2f}, {y:+.2f} mrad along "

@@ -27,8 +27,7 @@ class PredictedErrors:
 
 def predict_errors(observations: Observations, result: Fit, level: bool = True) -> PredictedErrors:
     """Propagate the covariance of the fitted parameters to projected positions and to z.
-    The uncertainties hold near z = 0 where all cameras see it or, if not `level`, at the observed target
-    nodes."""
+    The uncertainties hold near z = 0 where all cameras see it; if `level` is false, at the target nodes."""
     o = observations
     points = volume_points(o, result, level)
     _, J, by_point = project_points(o, result, points)
@@ -68,7 +67,7 @@ def project_points(observations: Observations, result: Fit, points: Array) -> tu
 
 def volume_points(o: Observations, result: Fit, level: bool) -> Array:
     """Return points (n, 3), m, in the volume where the rig will be used: near z = 0 where all cameras see it.
-    If not `level`, they are observed target nodes."""
+    If `level` is false, they are observed target nodes instead."""
     g = result.geometry
     if not level:
         world = g.world(o)
@@ -113,9 +112,9 @@ def choose_model(
     observations: Observations,
     level: bool,
 ) -> tuple[str, Fit]:
-    """Return the camera model with the least expected error where the rig will be used, and its fit.
-    `fit_model` fits the rig with given free terms. The rig will be used near z = 0 or, if not `level`, near
-    the target nodes. If expected errors differ by less than 5 %, the model with fewest parameters is
+    """Return the camera model with the smallest expected error where the rig will be used, and its fit.
+    `fit_model` fits the rig with given free lens terms. The rig will be used near z = 0 or, if `level` is
+    false, near the target nodes. If errors differ by less than 5 %, the model with fewest parameters is
     taken."""
     o, count = observations, 2 * len(observations)
     fits = {name: fit_model(tuple(name.split())) for name in CANDIDATES}

@@ -16,7 +16,7 @@ MAX_SEARCH_SIZE = 1500  # px; larger images are halved for the search: OpenCV's 
 
 
 def find_chessboard(image: Image, target: Target) -> TargetPoints:
-    """Find the inner corners of a chessboard, all of which must be in view."""
+    """Find the inner corners of a chessboard; all of them must be in view."""
     nx, ny = shape_of(target)
     pixel = _chessboard_corners(image, (nx, ny))
     if pixel is None:

@@ -1,8 +1,8 @@
 """Relative pose of two cameras from matched features of natural texture.
 
-This is for cameras at sea of which the lenses are known, but not the poses. The pose of the second camera is
-the one for which sight lines of matched features meet; the measured distance between the cameras gives the
-scale.
+Use it for cameras at sea with known lenses and unknown poses. The pose of the second
+camera is the one for which sight lines of matched features meet. The measured distance between the cameras
+gives the scale.
 """
 
 from dataclasses import replace
@@ -96,8 +96,7 @@ def _fitted(
     one: Camera, other: Camera, matches: Pixels, distance: float, start: Pose
 ) -> tuple[Camera, float]:
     """Fit the pose of camera `other` to the matches; return the camera and the remaining robust loss.
-    `start` is a pose (rotation, unit translation) relative to `one`; `distance`, m, is between the
-    cameras."""
+    `start` is a pose (rotation, unit translation) relative to `one`; `distance`, m, is between both."""
     R, t = start
     across = np.linalg.svd(t[None])[2][1:]  # two directions across t
 

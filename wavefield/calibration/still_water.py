@@ -172,8 +172,7 @@ class SightLineFit:
 
     def misfit(self, projected: Array) -> float:
         """Return the robust distance, px, by which sight lines miss each other.
-        `projected` holds residuals divided by `std`, without the component that shifts of the points
-        explain."""
+        `projected` holds residuals over `std`, without the component that shifts of points explain."""
         norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
         # normalise by the median of a chi distribution with 2 cameras - 3 degrees of freedom
         median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))

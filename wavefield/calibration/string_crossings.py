@@ -30,7 +30,7 @@ def gaussian(p: float) -> Pair:
 
 @compiled(inline="always")
 def profile(d: float, u: float, s: float) -> tuple[float, float, float]:
-    """Return the brightness across a string at distance d, px, from its axis; also its derivatives by d and
+    """Return the brightness across a string at distance d, px, from its axis; also the derivatives by d and
     u.
     The profile is a box of half width sqrt(u), px, with unit integral, blurred by a Gaussian of std s, px."""
     h = math.sqrt(max(u, 0.0))
@@ -104,8 +104,8 @@ def _rows(
 ) -> float:
     """Fill `rows` (13, n) in place: 12 weighted derivatives of the model and, last, weighted residuals.
     Only the first `free` derivatives are filled; linear parameters come first. Also fills `misses` (2, n):
-    residuals of `pixels` (3, n) in grey levels and in standard deviations. Returns the number of pixels with
-    weight."""
+    residuals of `pixels` (3, n) in grey levels and in standard deviations. Residuals over `spread`
+    standard deviations have zero weight; the number of other pixels is returned."""
     c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
     count = 0.0
     for k in range(pixels.shape[1]):
@@ -224,11 +224,10 @@ def _fit_one(
     arms: Array,
     noise: Array,
 ) -> float:
-    """Fit one crossing by damped Gauss-Newton steps; return the residual over the noise, or -1 if the fit
-    fails.
+    """Fit one crossing by damped Gauss-Newton steps; return the residual over the noise, -1 if the fit fails.
     Changed in place: the parameters p (12,); `covariance` (2,), the variances of x and y, px^2; `arms`
-    (4,), relative brightnesses; `noise` (4,), mean grey and mean squared residual of the background, then
-    of the strings."""
+    (4,), relative brightnesses; `noise` (4,), mean grey and mean squared residual of background, then
+    strings."""
     n = pixels.shape[1]
     if n < 45:
         return -1.0

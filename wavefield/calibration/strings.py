@@ -180,8 +180,7 @@ def _pairs_of_discs(
 
 
 def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
-    """Return the excess brightness (node, circle, direction) on circles around nodes, and the median over
-    nodes.
+    """Return excess brightness (node, circle, direction) on circles around nodes, and the median over nodes.
     The excess is relative to the median (circle, direction). `pixel` (n, 2) are the nodes' positions,
     `slopes` (n, 2, 2) the steps in the image to the next nodes."""
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
