@@ -114,7 +114,7 @@ class Camera:
 
     @cached_property
     def _tilt(self) -> Array | None:
-        """Homography (3, 3) of the tilted sensor (OpenCV's CALIB_TILTED_MODEL); None without a tilt."""
+        """Homography (3, 3) of the tilted sensor (OpenCV's CALIB_TILTED_MODEL); None if it is not tilted."""
         return tilt_matrix(self.tau_x, self.tau_y).real if self.tau_x or self.tau_y else None
 
     # -- sensor: tangents <-> pixels -----------------------------------------------------------------

@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 class FrameHistory(Generic[T]):
-    """The states of a simulation, by frame number, computed one after the other by `advance(state, frame)`.
+    """The states of a simulation by frame number; `advance(state, frame)` computes the next state from one.
     Only the first state and the latest few are kept; older ones are computed again from frame 0."""
 
     def __init__(self, first: T, advance: Callable[[T, int], T]) -> None:

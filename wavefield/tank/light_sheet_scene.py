@@ -125,8 +125,8 @@ class Particles:
         return np.stack([x0 + np.mod(x - x0, x1 - x0), y0 + np.mod(y - y0, y1 - y0), np.mod(height, 1.0)])
 
     def truth(self, x: Array, y: Array, time: float) -> Truth:
-        """Return the exact velocities and displacements at grid nodes x, y (ny, nx), m, for one step.
-        They are along the axes of the sheet, and the same at any `time`, s, as the flow is steady; z is 0."""
+        """Return the exact velocities and displacements at grid nodes x, y (ny, nx), m, for one frame step.
+        Vectors are along the axes of the sheet and do not depend on `time`, as the flow is steady; z is 0."""
         start, end = centred_path(self.flow.carry, x, y, self._step / 2)
         zero = np.zeros(np.shape(x))
         u, v, w = self.flow(x, y)

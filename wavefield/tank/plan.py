@@ -23,7 +23,7 @@ def plan(
     """Predict the errors of an experiment from one simulated step of it.
 
     The function draws images of the scene, measures them, and compares the fields with the exact ones. If the
-    grid is large enough, its nodes within 4 cm of the edge do not count. A small grid takes a few seconds.
+    grid is large enough, nodes within 4 cm of its edge are left out. A small grid takes a few seconds.
 
     Parameters
     ----------

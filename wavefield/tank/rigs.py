@@ -63,8 +63,7 @@ def paper_rig(scale: float = 1.0, crop: float = 1.0, cameras: int = 3) -> Rig:
 
 
 def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: tuple[int, int]) -> Rig:
-    """Return cameras at `angle` degrees from a light sheet's normal, and a third vertical one if `cameras` is
-    3.
+    """Return cameras at `angle` degrees from a light sheet's normal; if `cameras` is 3, one is vertical.
     `distance` from the sheet and the size `pixel` of a pixel on it are in m; `size` is (width, height),
     px. The sensors of the two oblique cameras are tilted (Scheimpflug)."""
     made = {}

@@ -37,7 +37,7 @@ from wavefield.tank.sea import Sea
 
 
 def _kind_of_rig(value: object) -> str:
-    """Return the tag of a rig in `Scene`, such as "sheet-rig"; `value` is an instance or a mapping."""
+    """Return the type of a scene's rig, such as "sheet-rig"; `value` is an instance or a mapping."""
     if isinstance(value, RigFile) or (isinstance(value, Mapping) and "file" in value):
         return "rig-file"
     if isinstance(value, PlatformRig) or (isinstance(value, Mapping) and "height" in value):

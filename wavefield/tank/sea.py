@@ -324,9 +324,9 @@ def _transform(phase: Array) -> Array:
 
 
 class Basin:
-    """A rectangle of a sea, with limits x and y, m, in which fields at any point are found fast.
-    Fields are summed on a lattice and interpolated with a kernel (non-uniform FFT of type 2); errors are 1e-7
-    of the elevation."""
+    """A rectangle of a sea, with limits x and y, m, for fast evaluation of fields at any points.
+    Fields are summed on a lattice and interpolated with a kernel (non-uniform FFT of type 2); errors are
+    1e-7 of the elevation."""
 
     def __init__(self, sea: Sea, x: tuple[float, float], y: tuple[float, float]) -> None:
         self.sea, self.x, self.y = sea, x, y
@@ -344,7 +344,8 @@ class Basin:
         self._ey = np.exp(1j * np.multiply.outer(gy, ky)) / _transform(ky * step)
 
     def snapshot(self, time: float, names: Sequence[str] = ("z",)) -> "Snapshot":
-        """Return the fields `names` (of z, z_x, z_y, z_t, u, v) at a time, s, as a function of x and y."""
+        """Return the fields `names` (of z, z_x, z_y, z_t, u, v) at `time`, s; call the result with x and
+        y."""
         return self._recent(round(time, 12), tuple(names))
 
     def _snapshot(self, time: float, names: tuple[str, ...]) -> "Snapshot":
@@ -355,7 +356,7 @@ class Basin:
 
 
 class Snapshot:
-    """Some fields of a sea at one instant, as a function of x and y; `Basin.snapshot` makes it."""
+    """Some fields of a sea at one instant, to evaluate at any x and y; `Basin.snapshot` makes it."""
 
     def __init__(self, values: Array, offset: Array, origin: tuple[float, float], step: float) -> None:
         self._values, self._offset, self._origin, self._step = values, offset, origin, step

@@ -38,7 +38,7 @@ def splat(image: Image, X: Array, Y: Array, flux: Array, sigma: float) -> None:
 
 
 def illumination(size: tuple[int, int], unevenness: float, seed: int) -> Image:
-    """Return the relative illumination (row, column) of an image: a gradient in a random direction, darker
+    """Return the relative illumination (row, column) of an image: a gradient in a random direction, dark
     edges.
     `size` is (width, height), px; `unevenness` is the relative difference of light across the image."""
     angle = np.random.default_rng([seed, 3]).uniform(0, 2 * np.pi)

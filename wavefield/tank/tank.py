@@ -229,7 +229,7 @@ class Tank:
 
     @cached_property
     def target_poses(self) -> dict[str, targets.Pose]:
-        """Poses of the target by name of the image (``tilt_0``, ``tilt_1``, ..., ``flat``); none at sea."""
+        """Poses of the target by name of the image (``tilt_0``, ``tilt_1``, ..., ``flat``); empty at sea."""
         settings, grid = self.scene.calibration, self.scene.grid
         if isinstance(self.scene.surface, SeaSurface):
             return {}  # there is no target at sea

@@ -87,8 +87,8 @@ def visible_water(camera: Camera, snapshot: Snapshot, reach: float) -> VisibleWa
 
 
 def _first_crossing(camera: Camera, snapshot: Snapshot, reach: float, x: Array, y: Array) -> Array:
-    """Return the elevation, m, where sight lines through (x, y, 0) first meet the water; NaN if nowhere.
-    `snapshot` gives z first; `reach` is the highest elevation, m."""
+    """Return the elevation, m, where sight lines through (x, y, 0) first meet the water; NaN if they do not.
+    `snapshot` is a function of x, y with z first in its result; `reach` is the highest elevation, m."""
     dx, dy = camera.sight_line(x, y)
     out = np.full(x.shape, np.nan)
     above = np.full(x.shape, np.nan)
@@ -140,10 +140,8 @@ def _radiance(upward: Array) -> Array:
 def texture_at(
     seen: VisibleWater, drift: Sequence[RectBivariateSpline], paints: Sequence[Paint], far: float
 ) -> Image:
-    """Return the sum of textures that move with the water, (row, column); it fades out at the distance `far`,
-    m.
-    `drift` holds two functions of (y, x): the displacements along x and y, m, back to the place at frame
-    0."""
+    """Return the sum of textures that move with the water, (row, column); it is zero beyond `far`, m.
+    `drift` holds two functions of (y, x): displacements along x and y, m, back to the place at frame 0."""
     width, height = seen.x.shape[1], seen.x.shape[0]
     fine = []
     for place, moved in zip((seen.x, seen.y), drift, strict=True):

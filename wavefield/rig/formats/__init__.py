@@ -48,7 +48,7 @@ def load_rig(
     names: Sequence[str] | None = None,
     unit: str | None = None,
 ) -> Rig:
-    """Read a rig from a file of any supported program; the content of the file shows which.
+    """Read a rig from a file of any supported program, which is recognised by the content of the file.
 
     Parameters
     ----------

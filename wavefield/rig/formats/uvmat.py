@@ -62,7 +62,7 @@ def _check_size(calibration: ET.Element, size: tuple[int, int]) -> None:
 
 
 def save_uvmat(camera: Camera, path: str | Path) -> None:
-    """Write one camera as a file of UVMAT (ImaDoc), in cm; RigError if it has distortion besides k1."""
+    """Write one camera as a file of UVMAT (ImaDoc), in cm; RigError if it has distortion other than k1."""
     refuse_terms(camera, "UVMAT", "k1")
     root = ET.Element("ImaDoc")
     calibration = ET.SubElement(root, "GeometryCalib")
