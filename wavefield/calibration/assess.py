@@ -76,7 +76,7 @@ def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> F
 
 def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, str], Array]:
     """Return signed distances (m,), px, of target nodes from their epipolar lines, by pair of camera names.
-    They are in the second camera's image. Pairs of cameras without a common node are left out."""
+    Distances are in the second camera's image. Pairs of cameras without a common node are left out."""
     o = observations
     key = o.pose * len(o.nodes) + o.node
     out = {}

@@ -122,8 +122,8 @@ def linearised(
     start: Geometry, plan: ParameterLayout, x: Array, observations: Observations
 ) -> tuple[Array, Array, Array]:
     """Return the predicted pixels (n, 2) of the observed target nodes after a step x (p,) from `start`.
-    The other results are the derivatives of these pixels by parameter (n, 2, p), and by position of the node
-    in the axes of the target (n, 2, 3), px/m."""
+    Also returns the derivatives of these pixels by the parameters x, (n, 2, p), and by the position of the
+    node in the axes of the target, (n, 2, 3), px/m."""
     o = observations
     now = stepped(start, plan, x)
     local = (o.nominal + now.offset)[o.node]

@@ -57,8 +57,7 @@ class SingleCamera:
 
 def homography(plan: Array, pixel: Array) -> Array | None:
     """Return a homography (3, 3) from points `plan` (n, 2), m, on a plane to pixels (n, 2), without outliers.
-    Returns None if there are fewer than six points, if they are on a line, or if fewer than half of them
-    fit."""
+    Returns None for fewer than six points, for points on a line, or if fewer than half of the points fit."""
     if len(plan) < 6 or np.linalg.matrix_rank(plan - plan.mean(0), tol=1e-9) < 2:
         return None
     cv2.setRNGSeed(1)

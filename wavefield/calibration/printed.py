@@ -40,7 +40,7 @@ def _refined(image: Image, node: Nodes, pixel: Array, reach: float = 0.35) -> Ar
 
 
 def _chessboard_corners(image: Image, shape: tuple[int, int]) -> Array | None:
-    """Return the corners (n, 2), px, from the first of several OpenCV detectors that finds them, or None.
+    """Return the corners (n, 2), px, from the first OpenCV detector that finds them; None if none does.
     `shape` is the number of inner corners along x and y."""
     picture, factor = _as_bytes(image), 1.0
     while max(picture.shape) > MAX_SEARCH_SIZE:

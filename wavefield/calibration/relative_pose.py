@@ -77,8 +77,8 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
 
 def _starts(E: Array, one: Array, other: Array, reach: float) -> list[Pose]:
     """Return start poses (rotation, unit translation) of the second camera relative to the first.
-    They come from the essential matrix E and from a homography; only the latter is right on a nearly flat
-    surface. `one` and `other` (n, 2) are tangents of matches, `reach` is the tolerance of the homography."""
+    Sources are the essential matrix E and a homography; on a nearly flat surface only the homography is
+    right. `one` and `other` (n, 2) are tangents of matches, `reach` is the tolerance of the homography."""
     _, R, t, _ = cv2.recoverPose(E, one, other, np.eye(3))
     out = [(np.asarray(R, float), np.asarray(t, float).ravel())]
     H, _ = cv2.findHomography(one, other, cv2.RANSAC, reach)

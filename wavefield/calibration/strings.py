@@ -324,8 +324,8 @@ def _like_neighbours(fit: Crossings) -> Mask:
 
 
 def _lens_blur(image: Image, fit: Crossings, slopes: Array, good: Mask) -> float:
-    """Return the standard deviation of the blur by lens and pixel, px, that fits some crossings best.
-    The crossings are chosen among those for which `good` (n,) is true."""
+    """Return the standard deviation, px, of the blur by lens and pixel that fits a few crossings best.
+    The crossings are a sample of those for which `good` (n,) is true."""
     chosen = np.flatnonzero(good)
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(MAX_BLUR_CROSSINGS, len(chosen))).astype(int)]
     misfit = np.empty(len(BLURS))

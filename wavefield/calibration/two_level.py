@@ -163,9 +163,9 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
 
 
 def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLevel | None:
-    """Return the level with the most dots, if its cells hold dots of another level, or None.
-    `centre` (n, 2), px, and `area` (n,), px^2, are of the dots of both levels; `size` is the image's (width,
-    height), px."""
+    """Return the largest grid of dots whose cells hold dots of another level; None if there is none.
+    `centre` (n, 2), px, and `area` (n,), px^2, are of the dots of both levels; `size` is the image's
+    (width, height), px."""
     if len(centre) < 2 * LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)
@@ -240,7 +240,7 @@ def _other_dots(level: PlateLevel, centre: Array) -> Array:
 
 
 def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
-    """Return the dots near the middles of the cells of `one` as a level, or None if they are too few.
+    """Return the level formed by the dots near the middles of the cells of `one`; None for too few dots.
     `centre` (n, 2), px, are all dots. Parallax shifts the dots of this level from the middles, by an
     amount that may change linearly over the image."""
     rest = _other_dots(one, centre)

@@ -162,7 +162,7 @@ class Camera:
 
     def tangents(self, X: ArrayLike, Y: ArrayLike) -> tuple[Array, Array]:
         """Return the tangents a = xc / zc, b = yc / zc of points that project to pixels X, Y (column, row).
-        They are the tangents of the angles from the optical axis, without lens distortion."""
+        Lens distortion is removed."""
         return self._to_tangents(*np.broadcast_arrays(np.asarray(X, float), np.asarray(Y, float)))
 
     def project(self, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Array, Array]:

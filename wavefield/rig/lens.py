@@ -31,7 +31,7 @@ def distort_jacobian(
     a: Array, b: Array, k: tuple[float, float, float], p: tuple[float, float]
 ) -> tuple[Array, Array, Array]:
     """Return the derivatives of the distorted tangents (x, y) = `distort`(a, b).
-    They are dx/da, dx/db (which equals dy/da) and dy/db."""
+    The order is dx/da, dx/db (which equals dy/da), dy/db."""
     r2 = a * a + b * b
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))
     slope = 2.0 * (k[0] + r2 * (2.0 * k[1] + r2 * 3.0 * k[2]))  # 2 d radial / d(r2)

@@ -1,4 +1,4 @@
-"""Points and displacements in space from those in the images of several cameras."""
+"""Points and displacements in space, from pixels and image displacements of several cameras."""
 
 from collections.abc import Sequence
 from itertools import combinations_with_replacement

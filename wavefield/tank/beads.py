@@ -139,7 +139,7 @@ class Population:
         return BeadField(x, y, z - self._below, self._brightness)
 
     def _advance(self, beads: BeadField, frame: int) -> BeadField:
-        """Return the beads in frame + 1, from those in `frame`."""
+        """Return the beads at frame number `frame` + 1; `beads` are the beads at frame number `frame`."""
         time = self._scene.frame_time
         x, y = carry(self._basin, beads.x, beads.y, time(frame), time(frame + 1))
         for p, (low, high) in ((x, self._x), (y, self._y)):

@@ -117,8 +117,8 @@ class Particles:
         return BeadField(px, py, pz, self._brightness * light)
 
     def _advance(self, places: Array, frame: int) -> Array:
-        """Return the positions (3, n) in the next frame, from `places` in `frame`.
-        They are x and y, m, and the height in the layer as a fraction of its thickness."""
+        """Return the positions (3, n) at frame number `frame` + 1, from `places` at frame number `frame`.
+        Positions are x and y, m, and the height in the layer as a fraction of the layer's thickness."""
         x, y, rise = self.flow.carry(places[0], places[1], self._step)
         (x0, x1), (y0, y1) = self._x, self._y
         height = places[2] + rise / (SLAB_THICKNESS * self._settings.thickness)

@@ -79,8 +79,8 @@ def sheet_rig(cameras: int, angle: float, distance: float, pixel: float, size: t
 
 def platform_rig(height: float, baseline: float, pitch: float, focal: float, size: tuple[int, int]) -> Rig:
     """Return cameras `left` and `right` at a `height` above the sea, m, that look towards +y.
-    `baseline`, m, is the distance between them and `pitch`, degrees, the angle of their axes below the
-    horizontal. The `focal` length and the `size` of the images (width, height) are in px."""
+    `baseline`, m, is the distance between the cameras and `pitch`, degrees, the angle of their optical
+    axes below the horizontal. The `focal` length and the `size` of the images (width, height) are in px."""
     made = {}
     for name, side, roll, turn, down, k1 in (
         ("left", -1, 0.8, 1.1, 0.3, -0.05),

@@ -43,7 +43,7 @@ class PaperRig(Part):
 
 
 class SheetRig(Part):
-    """Cameras around a light sheet: one on each side, and if there are three a vertical one between them."""
+    """Cameras around a light sheet: one on each side and, with three cameras, a vertical one between."""
 
     cameras: Literal[2, 3] = 2
     angle: Annotated[float, Field(ge=5, le=70)] = Field(

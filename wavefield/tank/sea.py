@@ -219,8 +219,7 @@ class Sea:
 
     def on_grid(self, x: Array, y: Array, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
         """Return the exact fields `names`, (ny, nx), at a time, s, on axes x (nx,) and y (ny,), metres.
-        They are a dict by name. z is in m, z_t, u, v and w are in m/s; the slopes z_x and z_y are pure
-        numbers."""
+        The result is a dict by name. z is in m, z_t, u, v and w in m/s; z_x and z_y are slopes."""
         ex, ey = np.exp(1j * np.outer(self._layout.kx, x)), np.exp(1j * np.outer(y, self._layout.ky))
         return self._finish(self.sums(ex, ey, time, _needed(names)), names)
 
@@ -241,8 +240,7 @@ class Sea:
 
     def at(self, x: ArrayLike, y: ArrayLike, time: float, names: Sequence[str] = FIELDS) -> dict[str, Array]:
         """Return the exact fields `names` at a time, s, at points x, y, m, of any shape.
-        They are a dict by name. z is in m, z_t, u, v and w are in m/s; the slopes z_x and z_y are pure
-        numbers."""
+        The result is a dict by name. z is in m, z_t, u, v and w in m/s; z_x and z_y are slopes."""
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         shape, x, y = x.shape, x.ravel(), y.ravel()
         coefficients = self._coefficients(time)

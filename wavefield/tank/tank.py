@@ -102,8 +102,8 @@ class Tank:
 
     def draw(self, name: str, frame: int, beads: BeadField | None) -> GreyImage:
         """Return the image (row, column) of the camera `name` for a frame, with the faults of the camera.
-        `beads` is what the method `beads` returns for the same camera and frame. Several threads may call
-        `draw` at once."""
+        `beads` is the result of `Tank.beads` for this camera and frame. Threads may call `draw`
+        concurrently."""
         fault = self.scene.faults.get(name, _NO_FAULT)
         frame, source = self._frame_taken(name, frame), fault.shows or name
         if isinstance(self.scene.surface, SeaSurface):

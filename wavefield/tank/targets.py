@@ -45,7 +45,7 @@ def poses(number: int, tilt: float, x: tuple[float, float], y: tuple[float, floa
 
 def move_into_view(pose: Pose, board: Chessboard | Dots, middle: Array, cameras: Iterable[Camera]) -> Pose:
     """Return the pose of a board, moved towards `middle` (3,), m, until all cameras see the whole board.
-    If they never do, the pose is returned unchanged."""
+    If that is impossible, the pose is returned unchanged."""
     # the corners of a chessboard can only be numbered if all of it is visible
     around = 1.5 if isinstance(board, Chessboard) else 0.5  # the outer squares and half a white one
     half = ((np.array(board.shape) - 1) / 2 + around) * board.mesh
@@ -112,7 +112,7 @@ def _disc(
     ds: float, dt: float, radius: float, sx: float, sy: float, tx: float, ty: float, blur: float
 ) -> float:
     """Return the brightness, 0 to 1, of a blurred disc at (ds, dt) from its centre, in the units of `radius`.
-    sx and sy are the derivatives of ds by column and row, tx and ty those of dt; `blur` is in px."""
+    sx, sy and tx, ty are the derivatives of ds and of dt by column and row; `blur` is in px."""
     r = math.hypot(ds, dt)
     if r < 1e-12:
         return 1.0

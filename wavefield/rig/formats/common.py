@@ -30,8 +30,8 @@ class ImportOptions:
 
     def length(self, usual: str | None, stated: str = "") -> tuple[float, str]:
         """Return the size of the unit of length in metres, and its name; RigError for an unknown unit.
-        The unit is that of the user, else that of the file (`stated`), else the program's usual unit, else
-        the metre with an empty name."""
+        The unit given by the user comes first, then the file's (`stated`), then the program's usual unit.
+        If there is none of these, it is the metre, with an empty name."""
         unit = self.unit or stated.strip() or usual
         if unit is None:
             return 1.0, ""
@@ -165,7 +165,7 @@ def as_pair(rig: Rig, program: str) -> tuple[Camera, Camera, Array, Array]:
 
 def refuse_implausible(cameras: Sequence[StoredCamera], unit: str) -> None:
     """Raise a RigError if `unit` is empty and two cameras are over `MAX_DISTANCE` (20 m) apart.
-    The unit of length in the file is then probably not the metre."""
+    The file's unit of length is then probably not the metre."""
     centres = [-one.pose[0].T @ one.pose[1] for one in cameras]
     apart = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     if not unit and apart > MAX_DISTANCE:

@@ -102,7 +102,7 @@ def _part(stem: str, value: Array) -> str:
 
 def load_opencv(path: Path, options: ImportOptions) -> Rig:
     """Read a calibration file of OpenCV with one or several cameras; returns the rig.
-    If `path` is a file called intrinsics and the file of extrinsics is next to it, both are read."""
+    If `path` is a file called intrinsics and a file called extrinsics is next to it, both files are read."""
     nodes = _nodes(path)
     if any(name.startswith("fisheyemodel") and value.any() for name, value in nodes):
         raise RigError("its lens is a fisheye, which has no camera model here: calibrate a perspective lens")
