@@ -73,7 +73,7 @@ def with_backgrounds(
     resolve: Callable[[str], Path],
     experiment: Path,
 ) -> dict[str, FrameSeries]:
-    """Return series that subtract backgrounds from their frames; other arguments: `read_backgrounds`."""
+    """Return each camera's series, from whose frames its background is subtracted; see `read_backgrounds`."""
     images = read_backgrounds(named, series, resolve, experiment)
     for name, image in images.items():
         refuse_other_images(image, name, series[name].shape, series[name].dtype, experiment)

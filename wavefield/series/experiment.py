@@ -243,9 +243,9 @@ class Experiment(RecordSection):
 
     def choose_grid(self, rig: Rig, settings: Mapping[str, object] | None = None) -> Grid:
         """Return the grid of the experiment file, or else the largest that all measuring cameras see.
-        An automatic grid stays in view at all elevations within ``z_range``, or else half of
-        ``sheet_thickness`` up and down, of the measurement's `settings` (by default those of the experiment
-        file), or else 1 % of the distance of the nearest camera. RigError if the cameras share no view."""
+        An automatic grid stays in view at elevations within ``z_range`` of the measurement's `settings` (by
+        default the experiment file's), or else half of ``sheet_thickness`` up and down, or else 1 % of the
+        distance of the nearest camera. RigError if the cameras share no view."""
         section = self.grid
         if isinstance(section, GridSection) and section.x is not None and section.y is not None:
             return Grid(section.x, section.y, section.step)

@@ -176,7 +176,7 @@ def subtracted(image: NDArray[Any], background: NDArray[Any]) -> NDArray[Any]:
 
 
 def check_content(image: np.ndarray, place: str) -> Frame:
-    """Return an image as a `Frame`, or its fault, called by `place` in messages, if blank or not finite."""
+    """Return an image as a `Frame`, or a fault that names its `place` if it is blank or not finite."""
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())
         return Frame(None, FrameFault.UNREADABLE, f"{place} has {bad} pixels that are not finite numbers")

@@ -52,7 +52,7 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
 
 
 def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
-    """Return `count_images` of a file or store; ExperimentError if it fails or exceeds five million."""
+    """Return `count_images` of a file or store; ExperimentError if that fails or finds over five million."""
     try:
         kind, count = count_images(path)
     except FrameError as error:
