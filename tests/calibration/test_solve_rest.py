@@ -6,6 +6,8 @@ import pytest
 from solve_cases import MESH, views
 
 from wavefield.calibration import calibrate, check_rig, refine_and_level
+from wavefield.calibration.camera_start import physical_frame
+from wavefield.calibration.observations import Findings, Observations
 from wavefield.calibration.still_water import sight_points
 from wavefield.errors import CalibrationError
 from wavefield.rig import Rig
@@ -132,3 +134,26 @@ def test_a_rig_of_other_images_is_reported():
     found = check_rig(swapped, matches(paper_rig(), rest)[0])
     assert found.misfit > 5
     assert "does not fit these images" in found.sentence
+
+
+def test_without_a_flat_view_the_note_names_the_view_on_which_z_is_zero():
+    def numbers(*values):
+        return np.array(values)
+
+    seen = Observations(
+        ("left", "right"),
+        ("seen by one", "seen by both"),
+        ((9, 9),) * 2,
+        np.zeros((1, 2), int),
+        np.zeros((1, 3)),
+        1.0,
+        numbers(0, 0, 1),
+        numbers(0, 1, 1),
+        numbers(0, 0, 0),
+        np.zeros((3, 2)),
+        np.ones(3),
+    )
+    findings = Findings()
+    frame = physical_frame(seen, "", findings)
+    assert seen.poses[frame.reference] == "seen by both"
+    assert "in view seen by both;" in findings.notes[0]

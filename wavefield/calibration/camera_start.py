@@ -337,17 +337,18 @@ def physical_frame(observations: Observations, flat: str, findings: Findings) ->
         return PhysicalFrame(o.placed[0], placed=o.placed)
     if flat in o.poses:
         return PhysicalFrame(o.poses.index(flat))
+    n_cameras = [len(np.unique(o.camera[o.pose == p])) for p in range(len(o.poses))]
+    reference = int(np.argmax(n_cameras))
     if flat:
         findings.problems.append(
             f"no camera has a usable flat view ({flat}): photograph the target on the plane z = 0"
         )
     else:
         findings.notes.append(
-            f"no flat view: z = 0 is the target's plane in view {o.poses[0]}; "
+            f"no flat view: z = 0 is the target's plane in view {o.poses[reference]}; "
             "level the rig on the water at rest before measuring"
         )
-    n_cameras = [len(np.unique(o.camera[o.pose == p])) for p in range(len(o.poses))]
-    return PhysicalFrame(int(np.argmax(n_cameras)), level=False)
+    return PhysicalFrame(reference, level=False)
 
 
 def start_geometry(
