@@ -5,6 +5,7 @@ import shutil
 import pytest
 
 from benchmarks.faults import FAULTS, SOUND, free_bytes, outcome, write_experiment
+from wavefield.pipeline import check
 
 REFUSED = {
     "grid in centimetres": "`grid` is in metres: the cameras see {x: [",
@@ -54,3 +55,9 @@ def test_sound_experiments_raise_no_alarm(lab):
             change(lab)
     status, words = outcome(lab / "experiment.yaml")
     assert status == 0, words
+
+
+def test_a_record_of_which_one_step_is_tried_has_no_frame_to_compare_clocks_at(tmp_path):
+    found = check(write_experiment(tmp_path / "short", 300, frames=3))
+    assert found.problems == ()
+    assert found.clocks.startswith("not determined")

@@ -266,7 +266,7 @@ def check(
     prepared, trial, faults, problem = None, None, None, ""
     try:
         prepared = prepare(experiment, rig, workflow)
-        refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
+        refuse_small_fields(prepared.geometry, prepared.experiment.path)
         if experiment.rest:
             experiment.at_rest().open_frames()  # raises if images of the still-water record are missing
         with one_opencv_thread():

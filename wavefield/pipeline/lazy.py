@@ -123,11 +123,8 @@ def reconstruct(
     >>> from wavefield.tank import Scene
     >>> rig = Scene.load("demo").build_rig()
     >>> times = {"time": np.arange(5) / 20}
-    >>> frames = {}
-    >>> for name in rig:
-    ...     width, height = rig[name].size
-    ...     images = da.zeros((5, height, width), np.uint8, chunks=(1, -1, -1))
-    ...     frames[name] = xr.DataArray(images, times, ("time", "row", "column"))
+    >>> images = {n: da.zeros((5, *rig[n].size[::-1]), np.uint8, chunks=(1, -1, -1)) for n in rig}
+    >>> frames = {n: xr.DataArray(one, times, ("time", "row", "column")) for n, one in images.items()}
     >>> cube = reconstruct(frames, rig, Grid(x=(-0.5, 0.5), y=(-0.4, 0.4), step=0.02))
     >>> cube.z.dims, cube.z.shape
     (('time', 'y', 'x'), (4, 41, 51))

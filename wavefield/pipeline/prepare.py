@@ -122,9 +122,9 @@ def refuse_high_water(settings: "Settings", rig: Rig, source: Path | None) -> No
             )
 
 
-def refuse_small_fields(geometry: "GridGeometry", source: str) -> None:
+def refuse_small_fields(geometry: "GridGeometry", source: Path) -> None:
     """Raise ExperimentError if the grid, or the part that a camera sees, is too small for a wave spectrum.
-    ``source`` is the name of the experiment in the message."""
+    ``source`` is the experiment file."""
     shapes = {"the grid": geometry.lattice.shape}
     shapes |= {f"the part that {name} sees": s.lattice.shape for name, s in geometry.sights.items()}
     for name, (rows, columns) in shapes.items():

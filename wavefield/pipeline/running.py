@@ -118,7 +118,6 @@ def run(
         with deferred_signals():  # Ctrl-C during an import may be lost
             map_unordered = stack.enter_context(open_cluster(workflow, jobs_folder(path), MEASURING))
             prepared = prepare(experiment, rig, workflow)
-            refuse_small_fields(prepared.geometry, str(prepared.experiment.path))
         return process(prepared, path, map_unordered, progress)
 
 
@@ -128,6 +127,7 @@ def process(
     """Create the store ``path`` or resume it, measure all chunks that are left, and assess the cube.
     The caller must have locked the store. ``map_unordered(work, chunks)`` runs ``work`` on workers, and
     yields each chunk with its result or exception. RunStopped if the run is interrupted."""
+    refuse_small_fields(prepared.geometry, prepared.experiment.path)
     with log_file(path), stop_signals(prepared.workflow.time_limit_seconds):
         try:
             prepared, layout = _open_or_create(prepared, path)

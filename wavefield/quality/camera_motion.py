@@ -206,7 +206,7 @@ def delays(
         moved = displacement(frame)
         return [sample(geometry, pair, flat, moved) for pair in geometry.pairs]
 
-    if not geometry.pairs:
+    if not geometry.pairs or not frames:
         return Synchrony({})
     with ThreadPoolExecutor(threads) as pool:
         found_at = list(pool.map(samples_at, frames))
