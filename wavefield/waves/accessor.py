@@ -43,8 +43,8 @@ class WavesAccessor:
 
 
 def _method(name: str, field: str | None) -> Callable[..., Any]:
-    """Return a method of the accessor that calls the function `name` of `wavefield.waves`.
-    The function receives the cube if `field` is None, otherwise one variable, which is `field` by default."""
+    """Return a method for `WavesAccessor` that calls the function `name` of `wavefield.waves`.
+    It passes the whole cube if `field` is None, otherwise one variable of the cube, by default `field`."""
 
     def call_with_cube(self: WavesAccessor, *args: Any, **options: Any) -> Any:
         return getattr(waves, name)(self._cube, *args, **options)

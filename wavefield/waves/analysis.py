@@ -1,13 +1,10 @@
-"""Analysis of a cube: one pass over its Welch segments, then every result in the registry of wave products.
+"""Analysis of a cube: one pass over its Welch segments, then all registered wave products (results).
 
-`wavefield.analyze` writes these results to a Zarr hierarchy, which ``xarray.open_datatree(path,
-engine="zarr")`` reads without this package. The documentation's page on waves lists its groups and variables.
-
-The wave vector k points where the wave goes: a field is Re sum F exp(i (k . x - omega t)) over waves with
-omega > 0 and complex amplitudes F. Spectra are densities per rad/m and rad/s, one-sided in omega; their
-integral is the variance. Coordinates are ``omega`` (rad s-1) with ``frequency`` (Hz), ``k`` (rad m-1, centres
-of rings) with ``cycles`` (m-1), ``kx`` and ``ky`` (rad m-1). The 95 % interval of a spectrum E extends from
-``low`` times E to ``high`` times E. ``valid`` marks the reliable part of a spectrum.
+`wavefield.analyze` writes these results to a Zarr hierarchy. The documentation's page on waves lists its
+groups and variables. The wave vector k points where the wave goes: a field is Re sum F exp(i (k . x - omega
+t)) over waves with omega > 0 and complex amplitudes F. Spectra are densities per rad/m and rad/s, one-sided
+in omega; their integral is the variance. The 95 % interval of a spectrum E extends from ``low`` times E to
+``high`` times E. ``valid`` marks the reliable part of a spectrum.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -51,7 +48,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass
 class Sums:
-    """Sums that one pass over a cube collects, over a chain of up to four segments or over several chains."""
+    """Sums over the Welch segments of a cube, or of a part of it, from which wave products are computed."""
 
     ring_sums: dict[str, Array] = field(default_factory=dict)  # powers and cross products
     survey_sums: dict[str, Array] = field(default_factory=dict)  # sums of powers and histograms
@@ -69,7 +66,7 @@ class Sums:
 
 @dataclass(frozen=True)
 class _Chain:
-    """Task of a worker: called with the half segments of one chain, it reads them and returns `Sums`."""
+    """Callable for a worker process: reads up to four consecutive Welch segments and returns their `Sums`."""
 
     read: Reader
     welch: Welch
@@ -107,7 +104,7 @@ class _Chain:
 
 
 def _in_threads(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
-    """Yield ``work(item)`` for each item, in the order of `items`; a few threads compute them."""
+    """Yield ``work(item)`` for each item, in the order of `items`, computed in a pool of threads."""
     with ThreadPoolExecutor(dask.config.get("num_workers")) as pool:
         yield from pool.map(work, items)
 
@@ -115,8 +112,8 @@ def _in_threads(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[An
 def one_pass(
     cube: xr.Dataset, welch: Welch, requested: Requested, progress: Progress | None, each: Each
 ) -> dict[str, Any]:
-    """Read a cube once, and return the sums that wave products need, by their names in `products.GIVEN`.
-    `each(work, items)` maps work over chains of segments; `progress(done, total)` is called after each."""
+    """Read a cube once and return its sums over Welch segments, with keys of `products.GIVEN`. `each(work,
+    items)` applies work to groups of up to four segments; `progress(done, total)` counts groups."""
     record = welch.record
     scale = moments.rough_scales(cube, record, list(moments.QUANTITIES.values()))
     read = Reader([cube[name] for name in FIELDS], record)
@@ -281,7 +278,8 @@ FEW_SEGMENTS = 7  # the default segment is a quarter of the record and gives sev
 
 
 def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
-    """Return sentences for the user on the part of the cube that was used, its gaps and its length."""
+    """Return sentences that tell the user which part of the cube was used, and which gaps were
+    interpolated."""
     record, count, sizes = welch.record, welch.count, cube.sizes
     used = record.steps_in_runs(welch.segment)
     out = []
@@ -312,7 +310,8 @@ def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
 
 
 def _note_on_holes(record: Record, z: xr.DataArray) -> str:
-    """Return a sentence on interpolated nodes: their number, the error of z there, its effect on E(omega)."""
+    """Return a sentence with the number of interpolated nodes, the error of z there and its effect on
+    E(omega)."""
     share = record.holes / (record.steps_in_runs() * record.shape[0] * record.shape[1])
     text = f"{record.holes} missing nodes ({100 * share:.2g} %) were filled from their neighbours"
     error = filled_error(record, z)

@@ -2,8 +2,8 @@
 
 Bicoherence is |<Z1 Z2 Z3*>| / sqrt(<|Z1 Z2|^2> <|Z3|^2>) with omega3 = omega1 + omega2. Tricoherence is the
 largest |<Z1 Z2 Z3* Z4*>| / sqrt(<|Z1 Z2|^2> <|Z3 Z4|^2>) for any omega3 + omega4 = omega1 + omega2. Zi is the
-coefficient at omega_i and <> the mean over samples; a sample is one segment at one point. The argument `z` is
-an array (n, samples) of Fourier coefficients at the n lowest frequencies, called lines.
+Fourier coefficient at omega_i, and <> the mean over samples (segments and points). The argument `z` (n,
+samples) holds the coefficients at the n lowest frequencies.
 """
 
 import numpy as np
@@ -22,9 +22,8 @@ SHARED = 0.1
 
 
 def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
-    """Return the lowest `count` Fourier coefficients of the segments of `series` (time, points).
-    The result is (count, segments * points). Segments of `segment` steps overlap by half and are
-    Hann-windowed."""
+    """Return the `count` lowest Fourier coefficients of each segment and point, (count, segments * points).
+    `series` is (time, points). Segments of `segment` steps overlap by half and have a Hann window."""
     half = segment // 2
     window = hann(segment).astype(series.dtype)[:, None]
     out = []
@@ -35,8 +34,8 @@ def fourier_lines(series: np.ndarray, segment: int, count: int) -> np.ndarray:
 
 
 def bicoherence_of(z: np.ndarray) -> np.ndarray:
-    """Return the bicoherence of each pair (omega1, omega2), (n, n), from coefficients `z` (n, samples).
-    It is NaN where omega1 or omega2 is zero, or omega1 + omega2 is not among the n frequencies."""
+    """Return the bicoherence of pairs (omega1, omega2), (n, n), from Fourier coefficients `z` (n, samples).
+    It is NaN where omega1 or omega2 is zero, or omega1 + omega2 is not one of the n frequencies."""
     n = z.shape[0]
     out = np.full((n, n), np.nan)
     power = (np.abs(z) ** 2).sum(axis=1)
@@ -50,16 +49,17 @@ def bicoherence_of(z: np.ndarray) -> np.ndarray:
 
 
 def correlations_of(z: np.ndarray) -> np.ndarray:
-    """Return the squared correlation of the coefficients of each pair of lines, (n, n), from `z`."""
+    """Return the squared correlation between frequencies, (n, n), of Fourier coefficients `z` (n,
+    samples)."""
     gram = np.abs(z @ z.conj().T) ** 2
     power = np.maximum(gram.diagonal(), 1e-300)
     return np.asarray(gram / np.sqrt(power[:, None] * power))
 
 
 def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarray:
-    """Return the largest tricoherence of each pair (omega1, omega2), (n, n), from `z` (n, samples).
-    Left out are omega3 within two lines of omega1, and quartets that leakage correlates: those for which
-    products of `shared` (n, n), the correlations by leakage between two lines, exceed `limit`."""
+    """Return the largest tricoherence of each pair (omega1, omega2), (n, n), from coefficients `z` (n,
+    samples). `shared` (n, n) is the correlation between frequencies due to leakage. Quartets in which it
+    exceeds `limit`, or in which omega3 is close to omega1, are left out."""
     n = z.shape[0]
     (herk,) = linalg.get_blas_funcs(("herk",), (z,))
     value = np.full((n, n), np.nan)
@@ -86,9 +86,8 @@ def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarr
 
 
 def shuffle_phases(z: np.ndarray, points: int, rng: np.random.Generator) -> np.ndarray:
-    """Return `z` (n, segments * points) times a random phase factor for each line and segment.
-    The `points` consecutive samples of a segment get the same factor, so that points remain correlated but
-    the phases of different lines are no longer coupled."""
+    """Return Fourier coefficients `z` (n, segments * points) with random phases, which removes phase
+    coupling. All `points` of a segment get the same phase at a frequency, so that they remain correlated."""
     n, samples = z.shape
     phase = np.exp(2j * np.pi * rng.random((n, samples // points))).astype(z.dtype)
     return np.asarray(z * np.repeat(phase, points, axis=1))
@@ -101,16 +100,15 @@ SAMPLES = 4000  # largest number of segments times points, for the cost; further
 
 
 def _level_of_one(surrogates: list[np.ndarray]) -> np.ndarray:
-    """Return the bicoherence that each pair of frequencies exceeds by chance in 5 % of cases, (n, n).
-    The `surrogates`, bicoherences of random phases, have the mean square 1 / N for N independent samples."""
+    """Return the bicoherence (n, n) that uncoupled waves exceed in 5 % of cases.
+    `surrogates` holds the bicoherence (n, n) of several data sets with random phases."""
     mean = np.mean(np.square(surrogates), axis=0)
     return np.asarray(np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9))))
 
 
 def _level_of_largest(surrogates: list[np.ndarray]) -> np.ndarray:
-    """Return the tricoherence that each pair of frequencies exceeds by chance in 5 % of cases, (n, n).
-    It is a quantile of Gumbel's distribution, because the `surrogates`, tricoherences (n, n) of random
-    phases, are each the largest of many values."""
+    """Return the tricoherence (n, n) that uncoupled waves exceed in 5 % of cases, from a Gumbel distribution.
+    The distribution is fitted to `surrogates`, the tricoherence (n, n) of data sets with random phases."""
     quantile, count = -np.log(-np.log(1 - CHANCE)), len(surrogates)
     # Student's t instead of a normal quantile, because mean and scale are of few surrogates
     wider = special.stdtrit(count - 1, 1 - CHANCE) / special.ndtri(1 - CHANCE) * np.sqrt(1 + 1 / count)
@@ -119,10 +117,9 @@ def _level_of_largest(surrogates: list[np.ndarray]) -> np.ndarray:
 
 
 def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
-    """Return bicoherence and tricoherence of `series` (time, points) over (omega1, omega2), rad/s.
-    ``..._level`` is exceeded by chance in 5 % of cases, according to surrogates with random phases. `dt` is
-    the time step, s; `segment`, in steps, is shortened if it has more than 48 frequencies below 5 Hz. Raises
-    CubeError if only one segment fits, in which all phases appear coupled."""
+    """Return bicoherence and tricoherence over (omega1, omega2), rad/s, with the levels exceeded by chance in
+    5 %. `series` is (time, points) with time step `dt`, s. `segment`, in steps, is shortened to have at most
+    48 frequencies. CubeError if only one segment fits."""
     count = min(segment // 2 + 1, int(HIGHEST_HZ * segment * dt) + 1)
     if count > LINES:
         segment = max(int(segment * LINES / count) // 2 * 2, 16)
@@ -157,8 +154,8 @@ def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
 
 
 def _group(series: np.ndarray, welch: Welch) -> xr.Dataset | Noted:
-    """Return the group `higher_order` of `analyze`, or only a note if there are fewer than four segments.
-    `series` (time, points) is the vertical velocity w at points about 8 cm apart."""
+    """Return the bicoherence and tricoherence that `analyze` writes, or only a note if segments are too few.
+    `series` (time, points) is the vertical velocity w, m/s, at points about 8 cm apart."""
     if welch.count < LEAST_COUNT:
         return Noted(None, ["Bicoherence and tricoherence were left out: they need four segments at least."])
     return higher_order(series, welch.record.dt, welch.segment)

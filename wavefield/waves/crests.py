@@ -22,8 +22,8 @@ LEVELS = np.arange(0.0, 5.01, 0.25)  # in standard deviations; one wave in 270,0
 
 
 def extremes(series: Array) -> tuple[Array, Array, Array]:
-    """Return three arrays (waves,) for a series (time,): first step, crest height and trough depth (> 0).
-    A wave lies between two zero up-crossings. A parabola through three steps refines crest and trough."""
+    """Return first step, crest height and trough depth (> 0) of each wave, three arrays (waves,).
+    A wave lies between two zero up-crossings of `series` (time,). Parabolas refine crests and troughs."""
     start = np.flatnonzero((series[:-1] < 0) & (series[1:] >= 0))
     if start.size < 2:
         return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
@@ -40,13 +40,13 @@ def extremes(series: Array) -> tuple[Array, Array, Array]:
 
 
 def distant_nodes(block: Array, record: Record) -> Array:
-    """Return the values of a block (steps, ny, nx) at nodes about 8 cm apart, (steps, nodes)."""
+    """Return the values (steps, nodes) of a field `block` (steps, ny, nx) at every node about 8 cm from the
+    next."""
     apart_y, apart_x = (max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx))
     return block[:, ::apart_y, ::apart_x].reshape(len(block), -1)
 
 
 def _series(field: xr.DataArray, record: Record) -> list[Array]:
-    """Return the elevations (time, points) in each unbroken run of steps, at nodes about 8 cm apart."""
     read = Reader([field], record)
     return [
         np.concatenate([distant_nodes(block, record).astype(float) for (block,) in read.blocks(run)])
@@ -55,9 +55,9 @@ def _series(field: xr.DataArray, record: Record) -> list[Array]:
 
 
 def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array, Array]:
-    """Return sums of z^0 to z^4 (blocks, 5), and the numbers of crests and of troughs that reach each level.
-    Both numbers are (blocks, levels). The `runs`, elevations z (time, points) without their mean, are cut
-    into blocks of `block` steps; levels are `LEVELS` times `sigma`, in m."""
+    """Return sums of z^0 to z^4 (blocks, 5), and numbers of crests and of troughs above each level (blocks,
+    levels). Levels are `LEVELS` times `sigma`, m. Each of `runs`, z (time, points), is cut into blocks of
+    `block` steps."""
     sums, above = [], []
     for run in runs:
         count = run.shape[0] // block
@@ -76,7 +76,7 @@ def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array
 
 
 def _moments(sums: Array) -> Array:
-    """Return significant height, skewness, excess kurtosis, (..., 3), from sums of z^0 to z^4, (..., 5)."""
+    """Return significant height, skewness and excess kurtosis (..., 3) from sums of z^0 to z^4 (..., 5)."""
     mean, m2, m3, m4 = (sums[..., p] / sums[..., 0] for p in (1, 2, 3, 4))
     variance = m2 - mean**2
     third = m3 - 3 * mean * m2 + 2 * mean**3
@@ -86,7 +86,7 @@ def _moments(sums: Array) -> Array:
 
 def tayfun(level: Array, skewness: float) -> Array:
     """Return the probability that a crest in a second-order sea exceeds each `level` (Tayfun 1980).
-    Levels are in standard deviations of z. A `skewness` of zero or less gives Rayleigh's distribution."""
+    `level` is in standard deviations of z. A `skewness` of zero or less gives Rayleigh's distribution."""
     steepness = max(float(skewness), 0.0) / 3
     level = np.asarray(level, float)
     if steepness < 1e-6:

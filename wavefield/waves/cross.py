@@ -37,7 +37,6 @@ _DIMS = {
 def _estimates(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> dict[str, Array]:
-    """Return the variables of `cross_spectra`, with the dimensions of `_DIMS`, from sums over segments."""
     freedom = {name: ring_freedom(sums, name, welch) for name in names}
     if "nl" in names:
         waves = next(name for name in ("w", "rise", *names) if name in names)
@@ -59,7 +58,7 @@ def _estimates(
 def label(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
-    """Return the result of `cross_spectra` from `sums` of `sums.add_segment` over all segments."""
+    """Return the Dataset of `cross_spectra` from `sums`, to which `sums.add_segment` added all segments."""
     coords: dict[str, Any] = {"quantity": list(names)} | omega_coords(welch.omega) | k_coords(welch.table.k)
     if pairs:
         coords["pair"] = ["*".join(pair) for pair in pairs]
@@ -70,7 +69,8 @@ def label(
 
 
 def checked_fields(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return the fields that the quantities `names` need, in m and m/s; CubeError if one is missing."""
+    """Return the variables needed to compute the quantities `names`, in m and m/s; CubeError if one is
+    missing."""
     fields = sources(names)
     for field in fields:
         if field not in cube:
@@ -87,11 +87,10 @@ def cross_spectra(
     segment: int | None = None,
     record: Record | None = None,
 ) -> xr.Dataset:
-    """Return power spectra E of the quantities `names` of a cube, and cross spectra S of the `pairs`.
-    Quantities are z, z_t, u, v, w, nl = (u - U) . grad z and rise = z_t + U . grad z, with the mean U of u,
-    v. E (quantity, omega, k) and S = <conj(a) b> (pair "a*b", omega, k) are integrated over the direction of
-    k. The phase of S refers to waves exp(i (k . x - omega t)), omega > 0. ``dof`` and ``samples`` are the
-    degrees of freedom of E and the number of independent samples in S."""
+    """Return power spectra E (quantity, omega, k) of `names` and cross spectra S (pair, omega, k) of `pairs`.
+    Quantities are z, z_t, u, v, w, nl = (u - U) . grad z and rise = z_t + U . grad z, with the mean velocity
+    U. S = <conj(a) b> for a pair "a*b". ``dof`` and ``samples`` count degrees of freedom of E and samples of
+    S."""
     cube = checked_fields(cube, names)
     welch = Welch.of(cube, segment, record)
     # the current decides how long waves stay in the window, and so the degrees of freedom
@@ -100,15 +99,14 @@ def cross_spectra(
 
 
 def with_mean_current(cube: xr.Dataset, welch: Welch) -> Welch:
-    """Return `welch` with the mean of u and v over the record as its current."""
+    """Return a copy of `welch` whose current is the mean of u and v over the cube."""
     mean, _ = delayed_current(cube, welch.record).compute()
     return replace(welch, current=(float(mean[0]), float(mean[1])))
 
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
-    """Return the `cross_spectra` `ring` with E corrected for the gain of the measurement, and ``valid_k``.
-    This mask (quantity, k) is true where the gain is known and above one half. It is false for rise and nl,
-    which are not corrected."""
+    """Return `cross_spectra` with E corrected for the gain of the measurement, and a mask ``valid_k``.
+    The mask (quantity, k) is true where the gain is known and exceeds 0.5. It is false for rise and nl."""
     names = ring["quantity"].values
     factor, valid = np.ones((names.size, ring.sizes["k"])), np.zeros((names.size, ring.sizes["k"]), bool)
     for i, name in enumerate(names):
@@ -125,9 +123,9 @@ def _spectra(
     welch: Welch,
     filled: Mapping[str, float],
 ) -> xr.Dataset:
-    """Return the group `spectra` of `analyze`: E(k, omega), E(k) and E(omega), with 95 % intervals.
-    `ring` is from `label`. `filled` is, by quantity, the error of E(omega) due to interpolated nodes;
-    ``valid`` is false where E does not exceed four times this error."""
+    """Return the spectra that `analyze` writes: E(k, omega), E(k) and E(omega), with 95 % intervals.
+    `ring` is from `label`. ``valid`` is true where E exceeds four times `filled`, the power of interpolation
+    errors."""
     valid = ring["valid"]
     for name, added in filled.items():
         if added:
@@ -157,20 +155,21 @@ TERMS = {"w": "rise*w", "nl": "rise*nl", "tot": "rise*w"}
 
 
 def significance_level(samples: Any) -> Any:
-    """Return the squared coherence that unrelated signals with N = `samples` exceed in 5 % of cases."""
+    """Return the squared coherence that unrelated signals exceed in 5 % of cases, for `samples` independent
+    samples."""
     more = np.maximum(samples - 1, 1e-9)
     return 1 - CHANCE ** (1 / more)
 
 
 def _above_noise(energy: xr.DataArray) -> xr.DataArray:
-    """Return a mask (k,): true where the energy (omega, k) of a ring exceeds three times its noise.
-    The noise is the median over omega times the number of frequencies."""
+    """Return a mask (k,): true where the sum of `energy` (omega, k) over omega exceeds three times the noise.
+    The noise at each k is estimated as the median over omega times the number of frequencies."""
     noise = energy.median("omega") * energy.sizes["omega"]
     return energy.sum("omega") > MIN_SIGNAL_TO_NOISE * noise
 
 
 def coherence_group(ring: xr.Dataset) -> xr.Dataset:
-    """Return the result of `coherence` from `ring`, the `cross_spectra` of rise, w, nl and their pairs."""
+    """Return the Dataset of `coherence` from `cross_spectra` of rise, w, nl and their three pairs."""
     rise, w, nl = (ring["E"].sel(quantity=name, drop=True) for name in COHERENCE_NAMES)
     rise_w, rise_nl, w_nl = (ring["S"].sel(pair="*".join(pair), drop=True) for pair in COHERENCE_PAIRS)
     terms = xr.Variable("term", list(TERMS))
@@ -307,8 +306,8 @@ def plane_coherence(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
-    """Return sums over steps, each (cells,), of transforms z_t, w and -nl and of their products, by name.
-    `parts` holds the spatial transforms (cells, steps) of rise (here called z_t), w and nl."""
+    """Return sums over time, each (cells,), of the transforms z_t, w, -nl and of their products, by name.
+    `parts` holds spatial Fourier transforms (cells, steps) of rise, w and nl; rise is used as z_t."""
     z_t, w, nl = (parts[name] for name in COHERENCE_NAMES)
     return {
         "z_t": z_t.sum(axis=1),
@@ -322,7 +321,8 @@ def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
 
 
 def _plane_coherences(mean: dict[str, Array]) -> Array:
-    """Return the moduli of the coherence of w, nl and tot, (3, cells), from means of `_plane_sums`."""
+    """Return the moduli of the coherence with z_t of w, -nl and w - nl, (3, cells), from means of
+    `_plane_sums`."""
     power = mean["power"] - np.abs(mean["z_t"]) ** 2
     total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))

@@ -1,4 +1,4 @@
-"""Mean velocity of the water in a record, and the current that an estimate used."""
+"""Mean velocity of the water, and the current that an estimate used."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,9 +18,8 @@ SAMPLED_STEPS = 256  # evenly spaced steps that give the means of a record; chos
 
 
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
-    """Return the mean of u and v, and its standard uncertainty, each (2,), m/s, as a Dask delayed object.
-    Up to 256 evenly spaced steps are read. Nodes have the weights of a Hann window: with equal weights, a
-    hundredth of the waves would remain, which is coherent with z_t."""
+    """Return the mean of u and v and its standard uncertainty, each (2,), m/s, as a Dask delayed object.
+    The mean is over up to 256 steps, and over nodes with the weights of a Hann window to suppress waves."""
     area = slice(*record.y), slice(*record.x)
     task = dask.delayed(_means_of_steps, pure=False)
     parts = []
@@ -32,7 +31,7 @@ def delayed_current(cube: xr.Dataset, record: Record) -> Any:
 
 
 def _by_chunk(field: xr.DataArray, steps: list[int]) -> list[list[int]]:
-    """Return the step numbers in `steps`, grouped into one list for each chunk of `field` along time."""
+    """Group time steps by the chunk of `field` that contains them, and return one list for each chunk."""
     chunk = np.asarray(steps) // chunk_steps(field)
     return [[t for t, c in zip(steps, chunk) if c == number] for number in np.unique(chunk)]
 
@@ -62,7 +61,8 @@ FITTED, GIVEN, NO_CURRENT = "fit", "given", "none"
 
 @dataclass(frozen=True)
 class CurrentUsed:
-    """Velocity of the water that an estimate, such as a directional spectrum, used, and its origin."""
+    """Velocity of the water that an estimate (such as a directional spectrum) used, and where it came
+    from."""
 
     velocity: tuple[float, float]  # along x and y, m/s
     std: tuple[float, float]  # standard uncertainty, m/s; NaN where it was not estimated
@@ -71,14 +71,15 @@ class CurrentUsed:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes of a result that used the current: ``current``, ``current_std``, ``current_source``.
-        If the fit failed, ``current_fit_refused`` gives the reason."""
+        """Attributes for a result: ``current``, ``current_std`` (m/s), ``current_source``, and why a fit
+        failed."""
         out = {"current": list(self.velocity), "current_std": list(self.std), "current_source": self.source}
         return out | ({"current_fit_refused": self.reason} if self.reason else {})
 
 
 def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> CurrentUsed:
-    """Return the current in `dispersion`, a result of `dispersion_group`, else `given`, m/s, else zero."""
+    """Return the current fitted in `dispersion`, a result of `dispersion_group`; else `given`, m/s; else
+    zero."""
     if "current_x" in dispersion:
         velocity, std = ([float(dispersion[f"current_{a}{end}"]) for a in "xy"] for end in ("", "_std"))
         return CurrentUsed((velocity[0], velocity[1]), (std[0], std[1]), FITTED)

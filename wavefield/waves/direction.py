@@ -1,7 +1,4 @@
-"""Directional spectrum of the free waves, with uncertainties.
-
-A line is a frequency of a spectrum. `water` is depth (m) and surface tension over density (m3/s2).
-"""
+"""Directional spectrum of the free waves. `water` is depth (m) and surface tension over density (m3/s2)."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -43,9 +40,9 @@ RIDGE_CORRELATION = 1.6
 def packet_correlation(
     ky: Array, kx: Array, omega: Array, water: tuple[float, float], current: tuple[float, float], dof: float
 ) -> Array:
-    """Return the factor, (ky, kx), by which slow free waves raise the variance of a mean over segments.
-    A slow wave packet stays in the rectangle of nodes for several segments. `dof` are the degrees of freedom
-    of a cell (omega, ky, kx); `ky`, `kx` (rad/m) and `omega` (rad/s) are the axes of the spectrum."""
+    """Return the factor (ky, kx) by which slow waves raise the variance of a spectrum averaged over segments.
+    They stay in the field for several segments. `ky`, `kx`, `omega` are axes; `dof` belongs to one value of
+    E."""
     k = np.maximum(np.hypot(ky[:, None], kx), 1e-9)
     speed = group_velocity(k, *water) / k
     velocity = speed * kx + current[0], speed * ky[:, None] + current[1]
@@ -57,9 +54,9 @@ def packet_correlation(
 
 
 def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
-    """Return the covariances of the energies of sectors of direction, (sectors, sectors).
-    `shares` (sectors, cells) is the fraction of each cell in each sector. Each cell of `energy` (lines, ky,
-    kx) has `dof` degrees of freedom. Hann windows correlate neighbouring cells and lines."""
+    """Return the covariance matrix (sectors, sectors) of the energies in sectors of direction. `shares`
+    (sectors, cells) is the fraction of each cell (ky, kx) in each sector. Each value of `energy` (frequency,
+    ky, kx) has `dof` degrees of freedom, and is correlated with its neighbours by Hann windows."""
     lines, ny, nx = energy.shape
     reach = min(2, lines - 1)
     over_lines = ndimage.convolve1d(energy, _HANN[2 - reach : 3 + reach], axis=0, mode="constant")
@@ -79,9 +76,8 @@ def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
 
 
 def sector_freedom(levels: Array, covariances: Array) -> Array:
-    """Return the degrees of freedom of each sector's fraction of the total energy, (sectors,).
-    `levels` (sectors,) and `covariances` (sectors, sectors) are the sectors' energies and the covariances of
-    these energies."""
+    """Return the degrees of freedom of each sector's fraction of the total energy, (sectors,). `levels`
+    (sectors,) are the energies of the sectors, and `covariances` (sectors, sectors) their covariances."""
     total = max(levels.sum(), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.diag(covariances) / levels**2 - 2 * covariances.sum(axis=1) / (levels * total)
@@ -89,8 +85,9 @@ def sector_freedom(levels: Array, covariances: Array) -> Array:
 
 
 def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[float, float]:
-    """Return two standard uncertainties of the first harmonic of D(theta), along and across its direction.
-    `levels` are the energies at `theta`, both (sectors,); `covariances` are those of the levels."""
+    """Return standard uncertainties of the first harmonic of D(theta), along and across its direction.
+    `levels` are energies at directions `theta`, rad, both (sectors,), with covariance matrix
+    `covariances`."""
     total = max(levels.sum(), 1e-300)
     turned = np.exp(1j * theta)
     first = (levels * turned).sum() / total
@@ -105,8 +102,8 @@ LOWEST_HZ = 0.5  # chosen: below it, the elevation integrated from w is mostly d
 
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
-    """Return E(k, omega + k . U), the spectrum in the frame of water with the current U, (lines, ky, kx).
-    `lines` are the indices of the wanted frequencies. Values above the highest frequency are zero."""
+    """Return E(k, omega + k . U), (lines, ky, kx), the spectrum in a frame that moves with the current U,
+    m/s. `lines` are indices of frequencies. Values shifted from above the highest frequency are zero."""
     values = density.values
     if not any(current):
         return np.asarray(values[lines], float)
@@ -130,7 +127,7 @@ def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, fl
 
 
 class _RingSectors:
-    """Division of the cells of a k plane between `count` sectors of direction, by area, in rings of |k|."""
+    """Area fractions of the cells (ky, kx) in `count` sectors of direction, within a ring of |k|."""
 
     def __init__(self, ky: Array, kx: Array, count: int) -> None:
         n = rings.SUPERSAMPLING
@@ -149,9 +146,9 @@ class _RingSectors:
         self.place = (sector * self.cells + cell).ravel()[by_radius]  # in (sectors, cells)
 
     def shares(self, centre: float, half: float) -> tuple[Array, Array]:
-        """Return the fraction of each cell inside each sector of a ring, (sectors, cells), and a coverage.
-        The coverage (sectors,) is the fraction of each sector that the k plane samples. The ring extends from
-        `centre` - `half` to `centre` + `half`, rad/m."""
+        """Return the fraction of each cell in each sector of a ring, (sectors, cells), and a coverage
+        (sectors,). The ring is `centre` +- `half`, rad/m. The coverage is the fraction of a sector inside the
+        k plane."""
         first = np.searchsorted(self.radius, centre - half, "right")
         ring = slice(first, np.searchsorted(self.radius, centre + half, "left"))
         parts = np.bincount(self.place[ring], minlength=self.count * self.cells)
@@ -241,9 +238,9 @@ def directions(
 def elevation_density(
     density: xr.DataArray, current: tuple[float, float], frames: int, water: tuple[float, float]
 ) -> xr.DataArray:
-    """Return E(omega, ky, kx) of the elevation, from the spectrum `density` of w; zero at omega = 0.
-    w is integrated at omega - k . U, the frequency in the frame of the water. `frames` is the code
-    `path_frames` of w."""
+    """Return E(omega, ky, kx) of the elevation, by integration in time of w with the spectrum `density`.
+    `current` (m/s) Doppler-shifts the frequency; `frames` is the number of frames per velocity
+    (`path_frames`)."""
     omega, ky, kx = np.meshgrid(
         *(density[name] for name in ("omega", "ky", "kx")), indexing="ij", sparse=True
     )
@@ -255,22 +252,22 @@ def elevation_density(
 
 
 def resolved_frequencies(density: xr.DataArray, depth: float, gamma: float) -> Array:
-    """Return the middles of the frequency bands, Hz, that the lines and cells of a spectrum resolve."""
+    """Return the centres, Hz, of the frequency bands that are wide and long enough in wavelength to be
+    resolved."""
     lines = density["omega"].values / (2 * np.pi)
     shortest = dispersion(SHORTEST_WAVES * _largest_k(density), depth, gamma) / (2 * np.pi)
     return np.arange(max(LOWEST_HZ, 3 * lines[1]), min(shortest, 0.9 * lines[-1]), max(STEP_HZ, lines[1]))
 
 
 def _largest_k(density: xr.DataArray) -> float:
-    """Return the largest wavenumber, rad/m, that the grid of a spectrum samples in all directions."""
     return float(min(density["kx"].max(), density["ky"].max()))
 
 
 def above_noise(
     density: xr.DataArray, found: xr.Dataset, water: tuple[float, float], current: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """Return a mask (frequency,): true where the grid resolves waves that exceed three times the noise.
-    `found` is a result of `directions` for the spectrum `density`; only its ``frequency`` is used."""
+    """Return a mask (frequency,): true where waves are resolved and exceed three times the noise.
+    `found` is a result of `directions` for the spectrum `density`; only its ``frequency`` (Hz) is used."""
     spectrum = PlaneSpectrum.of(density, water)
     frequency = found["frequency"].values
     centres = wavenumber(2 * np.pi * frequency, *water)
@@ -310,8 +307,8 @@ def _directions(
     current: tuple[float, float],
     dof: float | None,
 ) -> xr.Dataset:
-    """Return the result of `directions` for E(omega, ky, kx) with `dof` degrees of freedom in each cell.
-    `frequency` is in Hz. If `dof` is None, all uncertainties are NaN."""
+    """Return the Dataset of `directions` from `density`, E(omega, ky, kx), at the frequencies `frequency`,
+    Hz. `dof` are the degrees of freedom of one value of E. If it is None, all uncertainties are NaN."""
     frequency = np.atleast_1d(np.asarray(frequency, float))
     lines = density["omega"].values / (2 * np.pi)
     if not frequency.size:
@@ -351,9 +348,9 @@ def _directions(
 def _label(
     frequency: Array, centres: Array, levels: Array, degrees: Array, cells: tuple[float, float], stds: Array
 ) -> xr.Dataset:
-    """Return the Dataset of `directions` from the energies `levels` (frequency, sectors), without ``efth``.
-    `centres` (frequency,) are wavenumbers and `cells` the sides of a cell along ky and kx, rad/m; `degrees`
-    are the degrees of freedom of `levels`, and `stds` (2, frequency) results of `harmonic_stds`."""
+    """Return the Dataset of `directions`, without ``efth``, from sector energies `levels` (frequency,
+    sectors). `centres` (frequency,) are wavenumbers, and `cells` the spacings of ky and kx, rad/m. `degrees`
+    are degrees of freedom of `levels`, and `stds` (2, frequency) uncertainties from `harmonic_stds`."""
     sectors = levels.shape[1]
     width = 2 * np.pi / sectors
     theta = (np.arange(sectors) + 0.5) * width
@@ -396,8 +393,8 @@ def _label(
 def direction_group(
     density: xr.DataArray, depth: float, gamma: float, used: CurrentUsed, welch: Welch
 ) -> xr.Dataset | Noted:
-    """Return the group `direction` of `analyze` from E(omega, ky, kx) of w.
-    If the current is not known, ``efth`` is left out, with a note."""
+    """Return the directional spectrum that `analyze` writes, from `density`, E(omega, ky, kx) of w.
+    If the current is unknown, ``efth`` is left out and a note for the user is added."""
     water = depth, gamma
     elevation = elevation_density(density, used.velocity, welch.frames, water)
     frequency = resolved_frequencies(density, *water)

@@ -40,8 +40,9 @@ BAND_WIDTH = 0.5  # Hz, chosen: width of the bands in which the points are compa
 
 
 def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Array], Array]:
-    """Return a function of the current (2,): model less measured omega of points, in standard deviations.
-    The slope of the relation on the current `around` converts the uncertainty of k to that of omega."""
+    """Return a function of the current (2,), m/s: model minus measured omega of `points`, over its
+    uncertainty. The uncertainty of k is converted to one of omega with the relation on the current
+    `around`."""
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
     free, speed = dispersion(points.k, *water), group_velocity(points.k, *water)
     slope = speed + (around[0] * kx + around[1] * ky) / points.k
@@ -50,20 +51,21 @@ def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Ar
 
 
 def _outlier_limit(misfit: Array) -> float:
-    """Return three robust standard deviations of `misfit`, beyond which points get less weight."""
+    """Return three robust standard deviations of `misfit`; points with a larger misfit get less weight."""
     return 3.0 * max(float(np.median(np.abs(misfit))) / 0.6745, 1e-9)
 
 
 def solve(points: RelationPoints, water: Water, start: Array) -> Array:
-    """Return the current (2,), m/s, of a robust least-squares fit to the points that starts from `start`."""
+    """Return the current (2,), m/s, that best fits the dispersion relation to `points`; `start` is a first
+    guess."""
     misfit = _misfit(points, water, start)
     result = least_squares(misfit, start, loss="soft_l1", f_scale=_outlier_limit(misfit(start)))
     return np.asarray(result.x)
 
 
 def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array:
-    """Return the covariance (2, 2) of a fitted current, (m/s)^2; NaN if the points do not determine it.
-    Neighbouring points have common errors, so half of the points count as independent."""
+    """Return the covariance (2, 2) of a fitted current, (m/s)^2; NaN if `points` do not determine the
+    current. Only half of the points count as independent, because neighbouring points share errors."""
     misfit = _misfit(points, water, current)
     residual = misfit(current)
     slopes = np.stack([misfit(current + unit) - residual for unit in np.eye(2)], axis=1)  # it is linear
@@ -77,7 +79,8 @@ def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array
 
 
 def distance_from_relation(points: RelationPoints, water: Water, current: Array) -> Array:
-    """Return the k of each point less that of the relation at its omega, (points,), rad/m (first order)."""
+    """Return measured k minus k of the dispersion relation at the same omega, (points,), rad/m, to first
+    order."""
     along = points.along(current)
     speed = group_velocity(points.k, *water)
     model = dispersion(points.k, *water) + points.k * along
@@ -85,7 +88,7 @@ def distance_from_relation(points: RelationPoints, water: Water, current: Array)
 
 
 def against_theory(points: RelationPoints, water: Water, current: Array) -> dict[str, Any]:
-    """Return ``ridge_error`` and ``band_frequency`` of `fit_dispersion`, both (band,), for a Dataset."""
+    """Return ``ridge_error`` and ``band_frequency`` (see `fit_dispersion`) as arguments for a Dataset."""
     distance = distance_from_relation(points, water, current)
     band = np.floor(points.omega / (2 * np.pi) / BAND_WIDTH)
     numbers, inverse = np.unique(band, return_inverse=True)
@@ -191,12 +194,12 @@ def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float
 
 
 def _between(limits: tuple[float, float]) -> str:
-    """Return the words "between ... and ... Hz", for messages, from two frequencies in rad/s."""
     return f"between {limits[0] / (2 * np.pi):.2g} and {limits[1] / (2 * np.pi):.2g} Hz"
 
 
 def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> RelationPoints:
-    """Return the points; CubeError if there are fewer than six. Its message names `limits`, rad/s."""
+    """Return `points`, or raise CubeError if there are fewer than six. The message names the band `limits`,
+    rad/s."""
     if len(points) < MIN_POINTS:
         raise CubeError(f"no dispersion relation was found {_between(limits)}: choose a longer segment")
     return points
@@ -205,7 +208,8 @@ def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> Relation
 def _check_fit(
     spectrum: PlaneSpectrum, points: RelationPoints, fit: Array, limits: tuple[float, float]
 ) -> float:
-    """Return the `contrast` of the fitted relation; CubeError if it is low or points are off the relation."""
+    """Return the `contrast` of the fitted relation; CubeError if it is too low or points are off the
+    relation. `fit` is the current (2,), m/s, and `limits` the frequency band, rad/s."""
     between = _between(limits)
     best = f"{fit[0]:.2f}, {fit[1]:.2f} m/s"
     # windows spread a wave over more than a cell of the k plane: for long waves, that is not an error
@@ -239,8 +243,8 @@ def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
 
 
 def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float) -> xr.Dataset:
-    """Return the result of `fit_dispersion` with ``omega_theory`` (k), the relation in still water, rad/s.
-    If the fit fails, the attribute ``refused`` holds the message of the error in place of the result."""
+    """Return the Dataset of `fit_dispersion` with ``omega_theory`` (k), the relation in still water, rad/s.
+    If the fit fails, only ``omega_theory`` is returned, with the reason in the attribute ``refused``."""
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
         out = fit_dispersion(density, depth, gamma=gamma)
@@ -250,7 +254,6 @@ def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float
 
 
 def _group(density: xr.DataArray, welch: Welch, depth: float, gamma: float) -> Noted:
-    """Return the group `dispersion` of `analyze`; if `fit_dispersion` failed, with a note on the reason."""
     fit = dispersion_group(density, welch.table.k, depth, gamma)
     refused = fit.attrs.get("refused")
     return Noted(fit, [f"The dispersion relation was not fitted: {refused}."] if refused else [])

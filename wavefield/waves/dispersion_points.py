@@ -1,6 +1,6 @@
 """Measured points of the dispersion relation: centroids in k at each frequency, in sectors of direction.
 
-A line is one frequency of a spectrum. The argument `current` is always an array (2,), along x and y, in m/s.
+A cell is a wave vector (ky, kx) of a spectrum, and a line a frequency. `current` is (2,), along x and y, m/s.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -29,7 +29,8 @@ LEAST_NOISE = 1e-4
 
 @dataclass(frozen=True)
 class PlaneSpectrum:
-    """A spectrum E(omega, ky, kx) with its noise, as arrays over lines (frequencies) and cells (ky, kx)."""
+    """A spectrum E(omega, ky, kx) and its noise, as arrays over lines (frequencies) and cells (wave
+    vectors)."""
 
     omega: Array  # (lines,), rad/s
     energy: Array  # (lines, cells)
@@ -45,7 +46,7 @@ class PlaneSpectrum:
 
     @classmethod
     def of(cls, density: xr.DataArray, water: Water) -> "PlaneSpectrum":
-        """Return an instance for a spectrum E(omega, ky, kx), whose noise is estimated."""
+        """Return a `PlaneSpectrum` from an array E(omega, ky, kx); the noise is estimated from the array."""
         omega, *axes = (density[name].values for name in ("omega", "ky", "kx"))
         ky, kx = (part.ravel() for part in np.meshgrid(*axes, indexing="ij"))
         k, angle, sides = np.hypot(kx, ky), np.arctan2(ky, kx), np.array([axis[1] - axis[0] for axis in axes])
@@ -56,14 +57,13 @@ class PlaneSpectrum:
         return cls(omega, energy, noise, kx, ky, k, angle, (axes[0], axes[1]), sides, cell, water)
 
     def on_lines(self, chosen: Array) -> "PlaneSpectrum":
-        """Return the part of the spectrum at some frequencies; `chosen` is a boolean array (lines,)."""
+        """Return the spectrum at the frequencies where the mask `chosen` (lines,) is true."""
         return replace(self, omega=self.omega[chosen], energy=self.energy[chosen], noise=self.noise[chosen])
 
 
 def noise_level(energy: Array, outer: Array, distance: Array) -> Array:
-    """Return the noise of a spectrum, (lines, cells): a function of omega times a function of |k|.
-    Noise is independent in time and correlated over a matching window in space, so its spectrum factorises.
-    `outer` marks cells with large |k|, where waves are weak; `distance` is |k| in cells, both (cells,)."""
+    """Return the noise of a spectrum `energy` (lines, cells), estimated as f(omega) times g(|k|).
+    `outer` (cells,) marks wave vectors too large for waves; `distance` (cells,) is |k| in cell widths."""
     if not outer.any():
         return np.zeros(energy.shape, np.float32)
     along_omega = np.median(energy[:, outer], axis=1)
@@ -80,8 +80,8 @@ def noise_level(energy: Array, outer: Array, distance: Array) -> Array:
 
 
 def _mean_of_noise(values: Array) -> float:
-    """Return the mean of chi-squared noise, from `values` of which some are waves; 0 if the median is 0.
-    The mean is about median + variance / (3 median), with the variance from the lower quartile."""
+    """Return the mean of the noise in spectral `values` that also contain some waves; 0 if the median is 0.
+    It is estimated from the median and lower quartile, since noise is distributed as chi-squared."""
     low, middle = np.quantile(values, [0.25, 0.5])
     std = (middle - low) / 0.6745
     return float(middle + std**2 / (3 * middle)) if middle > 0 else 0.0
@@ -95,9 +95,8 @@ VOTING_SECTORS = 2 * SECTORS  # finer, because single cells vote
 
 
 def scan_current(spectrum: PlaneSpectrum) -> Array:
-    """Return the current (2,) whose dispersion relation contains the most energy, in steps of 0.02 m/s.
-    In this Hough transform, each cell votes for the component (omega -+ sigma) / k of the current along k,
-    with the frequency sigma(k) of free waves in still water."""
+    """Return the current (2,), to 0.02 m/s, whose dispersion relation contains the most energy.
+    In this Hough transform, each value E(omega, k) votes for a current of (omega -+ sigma(k)) / k along k."""
     used = spectrum.k > MIN_CELLS_FROM_ZERO * spectrum.cell
     used &= spectrum.k < 0.9 * spectrum.k[spectrum.ky == 0].max()
     k = spectrum.k[used]
@@ -131,8 +130,8 @@ def scan_current(spectrum: PlaneSpectrum) -> Array:
 
 
 def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
-    """Return a mask (lines, cells): true near the dispersion relation on a current.
-    Near means within the distance in omega that corresponds to two cells in k and two lines in omega."""
+    """Return a mask (lines, cells): true near the dispersion relation of waves on `current`.
+    Near means within two cell widths in k plus two frequency steps, converted to a distance in omega."""
     omega, k, cell = spectrum.omega, spectrum.k, spectrum.cell
     free = dispersion(k, *spectrum.water) + current[0] * spectrum.kx + current[1] * spectrum.ky
     slope = np.abs(group_velocity(np.maximum(k, cell), *spectrum.water))
@@ -142,8 +141,8 @@ def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
 
 
 def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
-    """Return the ratio of the mean energy near the relation to that of the same cells at other frequencies.
-    White noise gives about 1. `lines` is a mask of the frequencies that are used."""
+    """Return the energy near the dispersion relation over the energy of the same wave vectors away from it.
+    Both are means. White noise gives about 1. `lines` is a mask of the frequencies used."""
     near = _near_relation(spectrum, current)[lines]
     near[:, spectrum.k < MIN_CELLS_FROM_ZERO * spectrum.cell] = False
     energy = spectrum.energy[lines]
@@ -157,7 +156,8 @@ def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
 
 
 def fraction(spectrum: PlaneSpectrum, current: Array) -> float:
-    """Return the fraction of the energy that is near the relation on a current; NaN if there is no energy."""
+    """Return the fraction of the total energy that is near the dispersion relation; NaN if there is no
+    energy."""
     near = _near_relation(spectrum, current)
     total = float(spectrum.energy.sum(dtype=float))
     return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
@@ -169,9 +169,8 @@ FLOOR = 1e-9  # chosen: cells with less energy, relative to the strongest, have 
 
 
 def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
-    """Return the spectrum (lines, cells) of simulated free waves, broadened by Hann windows.
-    A deconvolution finds the energies of four waves per cell that give the measured energy above the noise.
-    """
+    """Return the spectrum (lines, cells) of simulated free waves, broadened by Hann windows. The energies of
+    four waves per cell are fitted to the measured energy above the noise, by deconvolution."""
     near, ky, kx = _near_relation(spectrum, current), *spectrum.axes
     shape = spectrum.omega.size, ky.size, kx.size
 
@@ -229,8 +228,7 @@ MAX_DISPLACEMENT = 0.3  # chosen, in cells of k: points that are displaced furth
 
 @dataclass(frozen=True)
 class RelationPoints:
-    """Measured points of the dispersion relation: centroids in k, at most one per frequency and sector.
-    All arrays are (points,)."""
+    """Measured points of the dispersion relation: centroids in k, at most one per frequency and sector."""
 
     omega: Array  # rad/s
     k: Array  # rad/m
@@ -247,12 +245,13 @@ class RelationPoints:
         return RelationPoints(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def along(self, current: Array) -> Array:
-        """Return the component of a current (2,) along the wave vector of each point, (points,), m/s."""
+        """Return the component of `current` along the wave vector of each point, (points,), m/s."""
         return np.asarray(current[0] * np.cos(self.angle) + current[1] * np.sin(self.angle))
 
 
 def sectors_of(spectrum: PlaneSpectrum, count: int) -> Sectors:
-    """Return the direction, rad, and the cells, sorted by k, of `count` sectors; the first is around +kx."""
+    """Return direction (rad) and cell indices, sorted by k, of each of `count` sectors; the first is around
+    +x."""
     by_k = np.argsort(spectrum.k, kind="stable")
     half_width = np.pi / count
     middles = np.arange(count) * 2 * half_width
@@ -261,9 +260,9 @@ def sectors_of(spectrum: PlaneSpectrum, count: int) -> Sectors:
 
 
 def centroids(spectrum: PlaneSpectrum, sectors: Sectors, current: Array) -> RelationPoints:
-    """Return the centroids in k of the energy above the noise, one per frequency and sector of direction.
-    A centroid is over an interval of k around the relation. There is none if the interval has fewer than five
-    cells or less signal than noise, or if the centroid is outside of it."""
+    """Return the centroid in k of the energy above the noise, for each frequency and sector of direction.
+    Points are left out if too few cells or too little signal are near the relation on `current`, or if the
+    centroid is not near it."""
     omega, water = spectrum.omega, spectrum.water
     k_table = np.linspace(0.1, 1.2 * spectrum.k.max(), 4000)
     free = dispersion(k_table, *water)
@@ -313,9 +312,9 @@ def centroids(spectrum: PlaneSpectrum, sectors: Sectors, current: Array) -> Rela
 
 
 def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:
-    """Return the k at each frequency on the relation omega = free(k) + k along, (lines,), rad/m.
-    `free` and the group velocity `speed` are those in still water, at the values `k`. The result is NaN at
-    frequencies that the current, whose component is `along`, blocks."""
+    """Return the k, rad/m, that solves omega = free(k) + k along at each frequency `omega`; NaN if blocked.
+    `free` and `speed` are frequency and group velocity in still water at `k`; `along` is the current along
+    k."""
     doppler = free + k * along
     blocked = speed + along < MIN_SPEED_ON_CURRENT * speed
     last = int(blocked.argmax()) if blocked.any() else k.size
@@ -325,7 +324,8 @@ def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: flo
 
 
 def _strongest_sector(points: RelationPoints) -> Array:
-    """Return the energy of the strongest sector at or next to the frequency of each point, (points,)."""
+    """Return, for each point, the largest energy in any sector at its frequency or a neighbouring one,
+    (points,)."""
     if not len(points):
         return points.energy
     _, line = np.unique(points.omega, return_inverse=True)
@@ -337,9 +337,8 @@ def _strongest_sector(points: RelationPoints) -> Array:
 def window_displacement(
     spectrum: PlaneSpectrum, band: Array, sectors: Sectors, current: Array
 ) -> tuple[Array, Array]:
-    """Return the keys of points, and the displacement of their k by the Hann windows, rad/m, each (points,).
-    It is found for simulated free waves on the current, at the lines of the mask `band`. Points with a large
-    displacement are left out: they are beyond the end of the sea, in leakage alone."""
+    """Return the keys of points, and by how much Hann windows displace their k, rad/m, each (points,).
+    It is found with simulated free waves at the frequencies of the mask `band`; mere leakage is left out."""
     free_waves = windowed_waves(spectrum, current)[band]
     simulated = replace(spectrum.on_lines(band), energy=free_waves, noise=np.zeros_like(free_waves))
     points = centroids(simulated, sectors, current)
@@ -351,8 +350,8 @@ def window_displacement(
 
 
 def undisplaced(points: RelationPoints, by: tuple[Array, Array], part: float = 1.0) -> RelationPoints:
-    """Return the points with the fraction `part` of the displacements by the windows subtracted from their k.
-    `by` is a result of `window_displacement`. Points without a known displacement are left out."""
+    """Return points whose k is corrected by the fraction `part` of the displacement by Hann windows.
+    `by` is a result of `window_displacement`. Points with no entry there are left out."""
     _, measured, simulated = np.intersect1d(points.key, by[0], assume_unique=True, return_indices=True)
     points, displacement = points[measured], by[1][simulated]
     k_std = np.hypot(points.k_std, LEAKAGE_ERROR * displacement)

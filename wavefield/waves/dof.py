@@ -1,9 +1,8 @@
-"""Degrees of freedom of spectra over rings of |k| and of their sums over k and over omega.
+"""Degrees of freedom of spectra over rings of |k|, and of their sums over k and over omega.
 
-Cells are correlated by the Hann windows. Segments are correlated by their overlap, by waves that need longer
-than a segment to cross the field, and by spectral peaks narrower than a line. These correlations follow from
-the spectrum and the group velocity. The Fourier lines of 16 nodes limit the number of independent segments
-and waves, for peaks that the whole record does not resolve.
+Neighbouring wave vectors are correlated by Hann windows. Segments are correlated by overlap, by waves that
+cross the field slowly, and by narrow spectral peaks. Time series at 16 nodes limit the number of independent
+segments and waves, for peaks that the whole record does not resolve.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,16 +34,16 @@ CORRELATED_CELLS = 2 * sum(HANN_CORRELATION) - 1  # cells along an axis that cou
 
 
 def hann_correlation(lines: int) -> Array:
-    """Return the squared correlation of Fourier lines of white noise under a Hann window, (lines, lines)."""
+    """Return the squared correlation between frequencies, (lines, lines), of Hann-windowed white noise."""
     first = np.zeros(lines)
     first[: len(HANN_CORRELATION)] = HANN_CORRELATION[:lines]
     return np.asarray(linalg.toeplitz(first))
 
 
 def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
-    """Return the degrees of freedom of n sums of correlated powers, (n,).
-    They are (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)]: P is `power` (parts, n), nu its
-    degrees of freedom `dof` (parts, n), and rho2 the squared correlations `overlap` (parts, parts)."""
+    """Return the degrees of freedom (n,) of sums of correlated powers, given squared correlations `overlap`
+    rho2. They are (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)], with `power` P, `dof` nu:
+    (parts, n)."""
     size = np.sqrt(np.maximum(np.diag(overlap), 1e-300))
     share = power / np.sqrt(dof)
     variance = np.einsum("in,in->n", share, (overlap / np.outer(size, size)) @ share)
@@ -53,7 +52,8 @@ def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
 
 
 def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
-    """Return a spectrum as ``E`` with its ``dof``, at least 1, and its interval, ``low`` and ``high``."""
+    """Return a Dataset with the spectrum ``E``, its ``dof`` (at least 1), and its 95 % interval ``low``,
+    ``high``."""
     dof = dof.clip(min=1)
     low, high = (dof.copy(data=limit) for limit in interval(dof.values))
     return annotate(xr.Dataset({"E": energy, "dof": dof, "low": low, "high": high}))
@@ -63,9 +63,9 @@ ROUNDS = 4  # of deconvolution; tuned on random seas: with one, intervals of E(o
 
 
 def expected_segment_correlation(power: Array, count: int) -> Array:
-    """Return the variance of a mean over K = `count` segments relative to independent segments, (n, lines).
-    It is 1 + 2 sum_L (1 - L / K) |int S W^2 exp(i omega L T / 2) domega|^2 / (int S W^2 domega)^2, with the
-    deconvolved spectrum S, the power W^2 of the Hann window about a line, and the length T of a segment."""
+    """Return the variance of a mean over `count` half-overlapping segments over that for independent
+    segments. It is computed at each frequency from `power`, both (n, lines); peaks narrower than the
+    frequency step raise it."""
     lines = np.arange(power.shape[1])
     between = 2  # frequencies of the sharpened spectrum per line, so that a peak may lie between lines
     fine = np.arange(between * (lines.size - 1) + 1) / between
@@ -75,7 +75,8 @@ def expected_segment_correlation(power: Array, count: int) -> Array:
         return np.asarray(ndimage.convolve1d(spectrum, response, axis=1, mode="constant"))
 
     def spread(ratio: Array) -> Array:
-        """Return the sum of a ratio over the lines that a wave reaches, at each frequency of `fine`."""
+        """Return `ratio` (n, lines) convolved with the Hann window's response, at the finer frequencies
+        `fine`."""
         between_lines = np.zeros((len(ratio), fine.size))
         between_lines[:, ::between] = ratio
         return windowed(between_lines)
@@ -98,16 +99,16 @@ def expected_segment_correlation(power: Array, count: int) -> Array:
 
 
 def hann_autocorrelation(lag: Array) -> Array:
-    """Return the autocorrelation of a Hann window of length 1 at `lag`, relative to that at lag zero."""
+    """Return the autocorrelation of a Hann window of length 1 at `lag`, relative to its value at lag zero."""
     x = np.minimum(np.abs(lag), 1.0)
     return np.asarray(((1 - x) * (2 + np.cos(2 * np.pi * x)) + 1.5 / np.pi * np.sin(2 * np.pi * x)) / 3)
 
 
 def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
-    """Return the variance of a mean over segments relative to independent segments, for wave packets.
-    It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K = `count` segments of `duration` T. c is the
-    overlap of Hann windows, in time and over `lengths` (m), for packets with `velocity` (m/s), both along x
-    and y."""
+    """Return the variance of a mean over `count` segments over that for independent segments, for wave
+    packets. It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K segments of `duration` T, s. c is the
+    autocorrelation of Hann windows in time and over `lengths` (x, y), m, for packets with `velocity` (x, y),
+    m/s."""
     s = np.linspace(-1, 1, 41)  # more points change nothing
     in_time = hann_autocorrelation(s)
     out, alone = np.ones_like(velocity[0]), np.ones(())
@@ -128,7 +129,7 @@ def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence
 
 @lru_cache(maxsize=8)
 def crossing_correlation(welch: Welch) -> Array:
-    """Return `correlation_at` for the free waves of each ring of |k|, averaged over direction, (rings,)."""
+    """Return `correlation_at` for the free waves in each ring of |k|, averaged over direction, (rings,)."""
     record, table = welch.record, welch.table
     lengths = record.shape[1] * record.dx, record.shape[0] * record.dy
     group = group_velocity(table.k, welch.depth)[:, None]
@@ -139,25 +140,24 @@ def crossing_correlation(welch: Welch) -> Array:
 
 
 def wave_share(power: Array) -> Array:
-    """Return the fraction of the powers (rings, lines) that is due to waves and not to white noise."""
+    """Return the fraction of each value of `power` (rings, lines) that is not white noise."""
     first = int(0.75 * (power.shape[1] - 1))  # above 3/4 of the Nyquist frequency, most power is noise
     noise = power[:, first:-1].mean(axis=1, keepdims=True) if first < power.shape[1] - 1 else 0.0
     return np.asarray(1 - np.minimum(noise / np.maximum(power, 1e-300), 1.0))
 
 
 def keep_points(sums: dict[str, Array], name: str, first: Array, second: Array, begin: int) -> None:
-    """Store the Fourier lines (nodes, lines) of a segment at some nodes in `sums`, under `name` and `begin`.
-    `first` and `second` are the halves (nodes, steps) of the segment, and `begin` is its first step."""
+    """Store the Fourier transforms (nodes, frequencies) of one segment at some nodes in `sums`. `first` and
+    `second` are the halves (nodes, steps) of the segment; its key has `name` and first step `begin`."""
     series = np.concatenate([first, second], axis=1)
     series = (series - series.mean(axis=1, keepdims=True)) * hann(series.shape[1])
     sums[f"points {name} from {begin:012d}"] = fft.rfft(series, axis=1).astype(np.complex64)
 
 
 def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) -> Array:
-    """Return the number of independent segments at each frequency, (n,).
-    It is K / (1 + 2 sum_L (1 - L / K) |r_L|^2) for K = len(`lines`). r_L is the correlation of the Fourier
-    lines (segments, nodes, n) of segments whose numbers `place` differ by L. `modes` (n,) is the number of
-    independent series among the nodes, for the bias of |r_L|^2."""
+    """Return the number of independent segments at each frequency, (n,), from transforms (segments, nodes,
+    n). It is K / (1 + 2 sum_L (1 - L / K) |r_L|^2) for K segments, with the correlation r_L of segments whose
+    numbers `place` differ by L. `modes` (n,) independent nodes set the bias of |r_L|^2."""
     count, size = len(lines), int(place[-1]) + 1
     padded = np.zeros((2 * size, *lines.shape[1:]), complex)
     padded[place] = lines
@@ -173,9 +173,8 @@ def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) ->
 
 
 def independent_nodes(lines: Array, number: Array) -> Array:
-    """Return the number of independent waves at each frequency, (tr C)^2 / |C|^2, without bias, (n,).
-    C is the covariance between nodes, from `lines` (segments, nodes, n) with `number` independent
-    segments."""
+    """Return the number of independent waves at each frequency, (n,): (tr C)^2 / |C|^2, corrected for bias.
+    C is the covariance of nodes in `lines` (segments, nodes, n), with `number` (n,) independent segments."""
     total = (np.abs(lines) ** 2).sum(axis=(0, 1))
     covariance = np.einsum("spn,sqn->npq", lines.conj(), lines, optimize=True)
     rank = total**2 / np.maximum((np.abs(covariance) ** 2).sum(axis=(1, 2)), 1e-300)
@@ -185,17 +184,15 @@ def independent_nodes(lines: Array, number: Array) -> Array:
 
 
 def of_products(dof: Mapping[str, Array], power: Array, dof_omega: Array) -> dict[str, Array]:
-    """Return the degrees of freedom of spectra of the nonlinear term, from `dof`, estimated from these alone.
-    The energy is quadratic in that of the waves, so their relative variance is added four times. `power` and
-    `dof_omega`, both (lines,), are of E(omega) of the waves."""
+    """Return degrees of freedom of spectra of nl = u . grad z, lower than a first estimate `dof`, by axis.
+    nl is quadratic in waves, whose spectrum `power` has `dof_omega` degrees of freedom, both (lines,)."""
     total = sum_freedom(power[:, None], dof_omega[:, None], hann_correlation(power.size))
     return {axes: (1 / (1 / own + 4 / total)).clip(1, None) for axes, own in dof.items()}
 
 
 def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, Array]:
     """Return the degrees of freedom of E(k, omega), E(omega) and E(k), under "both", "omega" and "k".
-    Correlated segments reduce them. They are at most 2 n m for n independent segments and m independent waves
-    at 16 nodes, since the level of a very narrow peak hardly varies between segments."""
+    They are at most 2 n m for n independent segments and m independent waves, estimated at 16 nodes."""
     power, cells = sums[name][0], welch.freedom(sums[name])
     independent = cells * overlap_factor(welch.count)
     correlation, of_sums = correlation_of(power, welch)
@@ -221,8 +218,8 @@ def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, 
 
 
 def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
-    """Return the degrees of freedom of E(omega) averaged over all nodes; `dof` are those with a Hann window.
-    Waves of a frequency lie on an arc in the k plane, along which the window correlates cells."""
+    """Return the degrees of freedom of E(omega) averaged over all nodes without a spatial window. `dof` are
+    the degrees of freedom with a spatial Hann window, which correlates neighbouring wave vectors."""
     arc = np.maximum(dof / welch.dof, 1.0)
     return np.asarray(dof * (1 + (arc - 1) * CORRELATED_CELLS) / arc)
 
@@ -230,11 +227,9 @@ def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
 def independent_samples(
     sums: Mapping[str, Any], first: str, second: str, dof_k: tuple[Array, Array], welch: Welch
 ) -> dict[str, Array]:
-    """Return the number N of independent samples of a cross spectrum, "both", and of its sum over omega, "k".
-    For unrelated fields, the mean of |S_ab|^2 is E_a E_b / N. N follows from the mean of |A|^2 |B|^2, in a
-    cell (1 + gamma^2) times the product of the mean powers of A and B, with the coherence gamma. Segments of
-    the nonlinear term, which is not of free waves, are correlated by their overlap only. `dof_k` holds the
-    degrees of freedom of E(k) of both fields."""
+    """Return the number N of independent samples of a cross spectrum ("both") and of its sum over omega
+    ("k"). For unrelated fields `first` and `second`, <|S_ab|^2> = E_a E_b / N. `dof_k` belongs to E(k) of
+    each field."""
     product = sums[first][0] * sums[second][0]
     power, there = np.sqrt(product), product > 0
     real, imaginary = sums[f"{first}*{second}"]
@@ -260,9 +255,8 @@ def independent_samples(
 
 
 def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
-    """Return the degrees of freedom of sums over k, under "omega", and of sums over omega, under "k".
-    `power` and its degrees of freedom `dof` are (rings, lines). The energy of a ring is near the dispersion
-    relation, so rings are correlated more than by the window."""
+    """Return the degrees of freedom of sums of `power` over k, under "omega", and over omega, under "k".
+    `power` and its degrees of freedom `dof` are (rings, lines)."""
     overlap, own = welch.table.overlap, np.sqrt(np.diag(welch.table.overlap).clip(1e-300))
     return {
         "omega": sum_freedom(power, dof, np.sqrt(overlap * np.outer(own, own))),
@@ -271,8 +265,8 @@ def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
 
 
 def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
-    """Return two factors (rings, lines) by which correlated segments raise the variance of a mean over them.
-    The first is for a single cell (k, omega), the second for a cell as a part of a sum over k or omega."""
+    """Return two factors (rings, lines) by which correlated segments raise the variance of `power`.
+    The first is for a single value E(k, omega), the second for its contribution to a sum over k or omega."""
     white = overlap_factor(welch.count)
     line = expected_segment_correlation(power, welch.count)
     crossing = white + (crossing_correlation(welch)[:, None] - white).clip(0) * wave_share(power) ** 2
@@ -280,7 +274,6 @@ def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
 
 
 def _segments(sums: Mapping[str, object], name: str) -> tuple[Array, Array]:
-    """Return the first step of each segment (segments,) and its Fourier lines, (segments, nodes, lines)."""
     start = f"{name} from "
     names = sorted(key for key in sums if key.startswith(start))
     return np.array([int(key.removeprefix(start)) for key in names]), np.array(

@@ -2,7 +2,7 @@
 
 z = eta + n_z at the times of the frames, with the true elevation eta. w dt is the difference of two
 elevations, so w_hat = i w dt / (2 sin b), b = omega dt / 2, is the elevation at mid-time with a noise n_w.
-The cross spectrum of z and w_hat separates the signal from both noises; no still-water record is needed.
+n_z and n_w are independent, so the cross spectrum of z and w_hat contains the signal but neither noise.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,9 +39,9 @@ _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m: waves of 6 km to 1.6 mm
 
 
 def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
-    """Return the frequency omega - k . U in the frame of the water, rad/s, with limits on its modulus.
-    `doppler_shift` is k . U. The limits, relative to the frequency `sigma` of free waves, keep the result
-    away from zero, where w cannot be integrated, but always include omega itself."""
+    """Return the frequency omega - k . U in a frame that moves with the water, rad/s, with limits on its
+    modulus. `doppler_shift` is k . U. The limits, half to 1.5 times the free-wave frequency `sigma`, keep it
+    away from zero; they are widened to contain omega."""
     intrinsic = np.asarray(omega - doppler_shift)
     least = np.minimum(omega, (1 - MAX_DEPARTURE) * sigma)
     most = np.maximum(omega, np.minimum((1 + MAX_DEPARTURE) * sigma, np.pi / dt))
@@ -61,7 +61,8 @@ LEARNED_WITHIN = 1.5  # chosen: a predicted signal-to-noise ratio is uncertain b
 
 
 def _white(noise: Array, use: Array) -> Array:
-    """Return the white noise of each ring, (k,): the median of `noise` (omega, k) where `use`, at least 0."""
+    """Return the white noise at each k, (k,): the median over omega of `noise` (omega, k) where `use`, at
+    least 0."""
     noise = np.where(use, noise, np.nan)
     usable = np.isfinite(noise).any(axis=0)  # short records: some rings have no line away from free waves
     out: Array = np.zeros(noise.shape[1])
@@ -70,8 +71,8 @@ def _white(noise: Array, use: Array) -> Array:
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    """Return the frequency, Hz, up to which a spectrum is valid without a gap from its peak on.
-    Also return by how many decades it falls until there. `valid` and `signal` are (omega,)."""
+    """Return the highest frequency, Hz, of the valid range around the peak, and the decades `signal` falls to
+    it. `valid` and `signal` are (omega,)."""
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
@@ -82,13 +83,12 @@ def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
 
 
 def _smooth(values: Array) -> Array:
-    """Return the running mean over seven lines, along the first axis."""
     return np.asarray(uniform_filter1d(values, 7, axis=0, mode="nearest"))
 
 
 def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Array:
-    """Return a mask (omega,): true where more than 90 % of the cells near free waves are trusted.
-    `trusted` (omega, k) marks the cells where a correctable signal is above three times its noise."""
+    """Return a mask (omega,): true where over 90 % of the values near free waves are trusted. `trusted`
+    (omega, k) marks values whose signal exceeds three times the noise and whose gain is correctable."""
     k, waves = spectra.k, np.asarray(wavenumber(spectra.omega, *water))
     if spectra.speed:  # on a current, use the mean wavenumber of the energy
         energy = np.maximum(_smooth(spectra.zw), 0.0)
@@ -101,7 +101,8 @@ def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Arra
 
 @dataclass(frozen=True)
 class _Gains:
-    """Gains (k,) of the power spectra of z and w, 0 if too small, and of the cross spectrum of both."""
+    """Gains (k,) of the power spectra of z and of w (0 if too small), and of the cross spectrum of z and
+    w."""
 
     z: Array
     w: Array
@@ -116,18 +117,18 @@ class _Gains:
 
     @property
     def both_usable(self) -> Array:
-        """Mask (k,): true in rings in which z and w can both be corrected."""
+        """Mask (k,): true where the gains of z and of w are both large enough for a correction."""
         return np.asarray((self.z > 0) & (self.w > 0))
 
     def elevation(self, cross: Array) -> Array:
         """Return the elevation spectrum (omega, k) from `cross`, the cross spectrum of z and w.
-        It is 0 in rings that are not `both_usable`."""
+        It is 0 where a gain is too small."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.both_usable, cross / self.zw, 0.0)
 
 
 def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
-    """Return the power gains at the rings `k`, rad/m; all gains are 1 if `gain` is None."""
+    """Return the power gains at wavenumbers `k`, rad/m; all gains are 1 if `gain` is None."""
     if gain is None:
         return _Gains(np.ones_like(k), np.ones_like(k), np.ones_like(k))
     z, w, both = (ring_gain(gain, *names, k) for names in (("z", "z"), ("w", "w"), ("z", "w")))
@@ -137,7 +138,7 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
 
 @dataclass(frozen=True)
 class _Elevations:
-    """Elevation spectra (omega, k) from z (zz) and from w (ww), and the cross spectrum of both (zw)."""
+    """Elevation spectra (omega, k) from z (zz) and from w (ww), and the cross spectrum of the two (zw)."""
 
     omega: Array  # rad/s
     k: Array  # of the rings, rad/m
@@ -150,20 +151,19 @@ class _Elevations:
 
     @property
     def step(self) -> float:
-        """Difference of the wavenumbers of neighbouring rings, rad/m."""
+        """Spacing of the wavenumbers, rad/m."""
         return float(self.k[1] - self.k[0])
 
     def over_k(self, array: Array) -> Array:
-        """Return the integral of an array (omega, k) over k, (omega,)."""
+        """Return the integral over k, (omega,), of an array (omega, k)."""
         return np.asarray(array.sum(axis=1) * self.step)
 
 
 def _elevations(
     ring: xr.Dataset, welch: Welch, w: xr.DataArray, zw: Array, current: tuple[float, float], water: Water
 ) -> _Elevations:
-    """Return the elevation spectra from z and w, before noise is subtracted or gains are corrected.
-    `w` is E(omega, ky, kx) of w. `zw` is Re(i exp(i omega dt / 2) S) on the same axes, with the cross
-    spectrum S of z at the times of frames with w. `current` is in m/s."""
+    """Return the elevation spectra from z and w, before noise is subtracted or gains are corrected. `w` is
+    E(omega, ky, kx) of w, and `zw` is Re(i exp(i omega dt / 2) S) with the cross spectrum S of z and w."""
     dt, table, frames = welch.record.dt, welch.table, welch.frames
     ky, kx = np.meshgrid(w["ky"].values, w["kx"].values, indexing="ij")
     sigma, doppler_shift = dispersion(np.hypot(kx, ky), *water), kx * current[0] + ky * current[1]
@@ -187,8 +187,8 @@ def _elevations(
 
 @dataclass(frozen=True)
 class _Noise:
-    """Noise (omega, k) of z and of the elevation from w, and fits to both noises.
-    In the fits, the noise of z and that of w dt are white: at each k they are the same at all omega."""
+    """Noise (omega, k) of z and of the elevation integrated from w, with fits that assume white noise in
+    time. In the fits, the noise spectra of z and of w dt depend on k only."""
 
     z: Array
     w: Array
@@ -200,8 +200,8 @@ class _Noise:
 
 
 def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
-    """Return the noise of z and of the elevation from w, with fits: white noise of z and of w dt.
-    The noise is the energy that z and w, divided by their gains, do not have in common."""
+    """Return the noise of z and of the elevation integrated from w, with fits of white noise in time.
+    The noise is the part of each spectrum that the cross spectrum of z and w does not explain."""
     omega, k = spectra.omega, spectra.k
     use = (np.arange(omega.size) >= MIN_LINES) & (omega < 0.95 * omega[-1])
     # rings with too small a gain still contain some waves: there, the noise is taken away from free waves
@@ -224,9 +224,8 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
 
 
 def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array, Array]:
-    """Return the elevation spectrum from z and w combined, its noise, and its uncertainty, each (omega, k).
-    In every cell, z and w, divided by their gains, have weights by the inverse variance of noise and gain.
-    The noise is subtracted. The uncertainty is that of an amplitude, relative, due to the gains only."""
+    """Return the elevation spectrum from z and w combined, its noise and its uncertainty, each (omega, k).
+    Weights are inverse variances. The uncertainty is relative, of an amplitude, and due to the gains only."""
     std_z, std_w = gains.std
     waves = np.maximum(gains.elevation(spectra.zw), 0.0)
     by_z = np.sqrt(gains.z) / (noise.fit_z + std_z**2 * gains.z * waves)
@@ -244,16 +243,15 @@ def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Ar
 
 
 def _tiny(spectra: _Elevations) -> float:
-    """Return the smallest energy density that may stand in a denominator, against division by zero."""
     return 1e-30 * max(float(spectra.zz.max()), 1e-300)
 
 
 def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
 ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
-    """Return energies, masks of trusted cells, and relative uncertainties of the energies due to the gains.
-    Each is four arrays (omega, k), one per method. With `undo`, energies are corrected for noise and gains,
-    and those of untrusted cells are 0."""
+    """Return energies, masks of trusted values and relative uncertainties due to the gains, each by
+    `METHODS`. Arrays are (omega, k). If `undo`, energies are corrected for noise and gains, and 0 where not
+    trusted."""
     best, remaining, std_best = _best(spectra, noise, gains)
     with np.errstate(divide="ignore", invalid="ignore"):
         signals = (
@@ -280,9 +278,9 @@ def _by_method(
 def _freedom(
     ring: xr.Dataset, energies: Sequence[Array], remaining: Array, gain_variances: Array, tiny: float
 ) -> Array:
-    """Return the degrees of freedom of E(omega) by the four `METHODS`, (methods, omega).
-    They are those of z and w, lowered because noise is subtracted and gains are uncertain. `remaining`
-    (omega,) is the noise of the combination; `gain_variances` (methods, omega) are relative, of E(omega)."""
+    """Return the degrees of freedom of E(omega), (methods, omega), lowered for subtracted noise and gain
+    errors. `energies` and `remaining` are E(omega) and its noise; `gain_variances` (methods, omega) are
+    relative."""
     z, w = (ring["dof_omega"].sel(quantity=name).clip(min=1).values for name in NAMES)
     dof = np.stack([z, w, np.sqrt(z * w), np.sqrt(z * w)])
     zz, ww, zw, best = energies
@@ -302,12 +300,9 @@ def fused_group(
     depth: float,
     gamma: float,
 ) -> xr.Dataset:
-    """Return elevation spectra by the four `METHODS`, and the noise of z and w, from sums of an analysis.
-    ``Ez`` (source, omega), m2 s, is from z (stereo), from w, from their cross spectrum S_zw (cross), and from
-    both with weights by their inverse noise in each cell (fusion). The noises S_zz - Re S_zw and S_ww -
-    Re S_zw of elevation spectra are fitted in each ring of k as white noise of z and of w dt. With gains H,
-    the elevation spectrum is S_zw / (H_z H_w). On a current U, w is integrated at omega - k . U, which is
-    not accurate in the five lowest lines. `density_w` is E(omega, ky, kx) of w."""
+    """Return elevation spectra ``Ez`` (source, omega), m2 s, by the four `METHODS`, and the noise of z and w.
+    Sources are z ("stereo"), w integrated in time ("w"), their cross spectrum ("cross"), and z and w weighted
+    by inverse noise ("fusion"). `ring_sums` are sums over segments; `density_w` is E(omega, ky, kx) of w."""
     zw = density(ring_sums.pop("map z*w"), welch)  # frees memory: no other product needs it
     water = depth, gamma
     spectra = _elevations(ring, welch, density_w, zw, used.velocity, water)
@@ -354,7 +349,7 @@ def fused_group(
 
 def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
     """Return a mask (omega,): true where most of `energy` (omega, k) is near free waves or at larger k.
-    Elsewhere it is mostly leakage of the spectral peak."""
+    Elsewhere most energy is leakage from the spectral peak."""
     along = dispersion(_TABLE_K, *water) + _TABLE_K * spectra.speed
     longest = np.interp(spectra.omega, along, _TABLE_K)  # free waves that propagate along the current
     shorter = spectra.k > MIN_FREE_K * longest[:, None]
@@ -364,9 +359,8 @@ def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
 
 
 def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str, float]) -> xr.Dataset:
-    """Return the elevation spectra by method (`METHODS`) for the group `spectra` of `analyze`.
-    `filled` is the error of E(omega) of z and of w by interpolated nodes. A method is not valid at
-    frequencies where the field or fields that it needs do not exceed four times this error."""
+    """Return the elevation spectra by method that `analyze` writes to its group `spectra`. They are valid
+    where z or w exceeds four times `filled`, the power that interpolation errors add to E(omega)."""
     out = fused[BY_SOURCE].copy()
     step = float(ring["k"][1] - ring["k"][0])
     over_k = {name: ring["E"].sel(quantity=name).sum("k").values * step for name in NAMES}

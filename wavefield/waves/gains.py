@@ -1,9 +1,9 @@
 """Gains (transfer functions) of the measurement, and their correction in spectra.
 
-Averages and differences over time steps have gains that depend on b = omega dt / 2, and on `frames`, the code
-`path_frames` of velocities. Matching windows average over space; their amplitude gain is a Dataset over
-(direction, k) with ``gain_z``, ``gain_u``, ``gain_v``, ``gain_w``, NaN where it is unknown. The measurement
-predicts it and stores it in the cube; users can give their own.
+Averages and differences over time steps have gains that depend on omega dt, and on `frames`, the number of
+frames per velocity (`path_frames`). Matching windows average over space; their amplitude gain is a Dataset
+over (direction, k) with ``gain_z``, ``gain_u``, ``gain_v``, ``gain_w``, NaN where it is unknown. The
+measurement predicts it and stores it in the cube; users can give their own.
 """
 
 from pathlib import Path
@@ -24,8 +24,8 @@ MIN_SIGNAL_TO_NOISE = 3.0  # of a cell, ring or band: a noise wrong by a tenth c
 
 
 def path_factor(omega: Any, dt: float, frames: int) -> Any:
-    """Return the amplitude gain of a velocity from several frames, relative to one from two frames.
-    It is w_0 + 2 w_1 cos(omega dt) + 2 w_2 cos(2 omega dt) with the weights w of `PATH_WEIGHTS`."""
+    """Return the amplitude gain of a velocity from `frames` frames, relative to one from two frames. For more
+    than two frames it is w_0 + 2 w_1 cos(omega dt) + 2 w_2 cos(2 omega dt), with `PATH_WEIGHTS` w."""
     if frames == INSTANTANEOUS:
         with np.errstate(divide="ignore"):
             return 1 / np.sinc(np.asarray(omega) * dt / (2 * np.pi))
@@ -37,15 +37,13 @@ def path_factor(omega: Any, dt: float, frames: int) -> Any:
 
 
 def noise_of_displacement(omega: Any, dt: float, frames: int) -> Any:
-    """Return the ratio of the noise spectrum of w dt to that of the elevation integrated from w."""
+    """Return the noise spectrum of w dt divided by the noise spectrum of the elevation integrated from w."""
     return (omega * dt if frames == INSTANTANEOUS else 2 * np.sin(omega * dt / 2)) ** 2
 
 
 def elevation_from_w(omega: Any, dt: float, frames: int = 2) -> Any:
-    """Return the factor, s2, that converts the power spectrum of w to that of the elevation.
-    It is (dt / 2)^2 / (p sin b)^2, with b = omega dt / 2 and the gain p of `path_factor`: w dt is the
-    difference of two elevations, whose gain is 2 i sin b, so a factor 1 / omega^2 would be wrong by sinc^2 b.
-    """
+    """Return the factor, s2, that converts the power spectrum of w to that of the elevation. It is (dt / 2)^2
+    / (p sin(omega dt / 2))^2 with the gain p of `path_factor`, since w dt is a difference."""
     with np.errstate(divide="ignore"):
         return (dt / 2) ** 2 / (np.sin(omega * dt / 2) * path_factor(omega, dt, frames)) ** 2
 
@@ -55,7 +53,7 @@ PREDICTED = "linear theory"  # first words of the attribute `origin` of a predic
 
 
 def read_gain(source: str | Path | xr.Dataset) -> xr.Dataset:
-    """Return the gain `source`, read if it is the path of a store; StoreError without gain_z or gain_w."""
+    """Return the gain `source`, read from disk if it is a path; StoreError if gain_z or gain_w is missing."""
     if isinstance(source, xr.Dataset):
         gain = source
     else:
@@ -73,7 +71,7 @@ def gain_of(
     cube: xr.Dataset, requested: str | Path | xr.Dataset | Literal[False] | None = None
 ) -> xr.Dataset | None:
     """Return the gain requested by the user, else the gain stored in the cube, else None.
-    False requests no gain. A stored gain below one half, or NaN, at the smallest k counts as missing."""
+    False requests no gain. A stored gain below 0.5, or NaN, at the smallest k counts as missing."""
     if requested is False:
         return None
     if requested is not None:
@@ -88,13 +86,13 @@ def gain_of(
 
 
 def is_predicted(gain: xr.Dataset) -> bool:
-    """Return whether the measurement predicted the gain; otherwise it is one that the user gave."""
+    """Return True if the measurement predicted the gain, and False if the user gave it."""
     return str(gain.attrs.get("origin", "")).startswith(PREDICTED)
 
 
 def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the factor that corrects the power of field `name` for a gain, and a mask: true where known.
-    Both are (k,). Where the amplitude gain is below one half, the factor is 1 and the mask false."""
+    """Return the factor (k,) that corrects the power of field `name` for its gain, and a mask (k,).
+    Where the amplitude gain is below 0.5, the factor is 1 and the mask is false."""
     if f"gain_{name}" not in gain:
         return np.ones_like(k), np.ones(k.shape, bool)
     power = ring_gain(gain, name, name, k)
@@ -103,8 +101,8 @@ def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np
 
 
 def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
-    """Return `gain` with ``weight`` (direction, k), the fraction of the energy at k in each direction.
-    It is from the spectrum `plane_w` of w over (ky, kx). Gains of oblique cameras depend on direction."""
+    """Return `gain` with ``weight`` (direction, k): at each k, the fraction of the energy in each direction.
+    The weights come from the spectrum `plane_w` of w over (ky, kx), since gains depend on direction."""
     ky, kx = np.meshgrid(plane_w["ky"].values, plane_w["kx"].values, indexing="ij")
     sectors, step = gain.sizes["direction"], float(gain["k"][1] - gain["k"][0])
     cell = min(float(np.diff(plane_w[name][:2])[0]) for name in ("ky", "kx"))
@@ -119,8 +117,8 @@ def with_directions(gain: xr.Dataset, plane_w: xr.DataArray) -> xr.Dataset:
 
 
 def ring_gain(gain: xr.Dataset, one: str, other: str, k: Array) -> Array:
-    """Return the gain of the power or cross spectrum of two fields at `k`, (k,), averaged over directions.
-    Fields are `one` and `other`, such as "z" and "w". The gain is 0 above the largest known k."""
+    """Return the gain (k,) of the power or cross spectrum of two fields, averaged over directions. Fields are
+    `one` and `other`, such as "z" and "w". The gain is 0 above the largest k at which it is known."""
     product = gain[f"gain_{one}"] * gain[f"gain_{other}"] * gain.get("weight", 1.0 / gain.sizes["direction"])
     product = product.sum("direction", skipna=False)
     known = np.isfinite(product.values)

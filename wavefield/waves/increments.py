@@ -28,8 +28,8 @@ def lags(longest: int) -> Array:
 
 
 def powers_of_differences(values: Array, axis: int, lag: int, differences: int) -> Array:
-    """Return the number of increments along an axis and the sums of |increment|^p for p = 1 to 6, (7,).
-    `differences` is 1 or 2, for first or second differences; `lag` is in nodes or steps."""
+    """Return the number of increments along an axis, and sums of |increment|^p for p = 1 to 6, as one array
+    (7,). `differences` is 1 or 2, for first or second differences; `lag` is in nodes or steps."""
     size = values.shape[axis] - differences * lag
     if size <= 0:
         return np.zeros(ORDERS.size + 1)
@@ -45,7 +45,7 @@ def powers_of_differences(values: Array, axis: int, lag: int, differences: int) 
 
 
 def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[int, int]]]:
-    """Return the blocks of steps (start, stop, run) into which the unbroken runs of a record are cut.
+    """Return blocks of time steps as (start, stop, run), where run is the range of steps without long gaps.
     A block is twice as long as the `longest` lag, or shorter if there would be fewer than eight."""
     steps = record.steps_in_runs()
     length = max(min(2 * longest, steps // MIN_BLOCKS), 2)
@@ -141,7 +141,7 @@ def structure_functions(field: xr.DataArray, *, differences: int = 1) -> xr.Data
 
 
 def _moments(sums: Array) -> tuple[Array, Array]:
-    """Return structure functions (..., lags, 6) and flatness (..., lags), from sums of increments' powers."""
+    """Return structure functions (..., lags, 6) and flatness (..., lags) from `powers_of_differences`."""
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = sums[..., 1:] / sums[..., :1]
         return mean, mean[..., 3] / mean[..., 1] ** 2

@@ -1,8 +1,7 @@
 """Checks of the first argument of every estimator, and `cube`, which makes a cube of labelled fields.
 
-Some estimators take a field over (time, y, x), others a cube. Those of the dispersion relation take a
-spectrum E(omega, ky, kx), or a cube or field whose spectrum they compute. Depth, surface tension and degrees
-of freedom are read from this argument if the caller does not give them.
+Depth, surface tension and degrees of freedom are read from this argument (a cube, a field over (time, y, x)
+or a spectrum E(omega, ky, kx)) if the caller does not give them.
 """
 
 import functools
@@ -27,9 +26,9 @@ Convert = Callable[[Any, str], tuple[Any, dict[str, Any]]]
 
 
 def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
-    """Return a decorator that replaces the first argument of an estimator by the first result of `convert`.
-    ``convert(argument, name)``, with the estimator's name, also returns parameters that the argument holds,
-    such as the depth, as a dictionary. They are used where the caller gives none."""
+    """Return a decorator that checks or converts the first argument of an estimator with `convert`.
+    ``convert(argument, name)`` also returns a dictionary of parameters stored with the argument (such as the
+    depth), which are used unless the caller gives them. `name` is the estimator's."""
 
     def decorate(estimator: Estimator) -> Estimator:
         signature = inspect.signature(estimator)
@@ -60,17 +59,18 @@ def described(given: object) -> str:
 
 
 def is_field(given: object) -> bool:
-    """Whether an argument is a DataArray over time, y and x."""
+    """Return True if an argument is a DataArray over time, y and x."""
     return isinstance(given, xr.DataArray) and set(given.dims) == set(CUBE_DIMS)
 
 
 def is_cube(given: object) -> bool:
-    """Whether an argument is a Dataset with the dimensions of a cube."""
+    """Return True if an argument is a Dataset with the dimensions time, y and x."""
     return isinstance(given, xr.Dataset) and set(CUBE_DIMS) <= set(given.dims)
 
 
 def water_parameters(given: Any) -> dict[str, float]:
-    """Return the depth (m) and gamma (m3/s2) that a cube, field or spectrum carries, or an empty dict."""
+    """Return the "depth" (m) and "gamma" (m3/s2) stored with a cube, field or spectrum, or an empty
+    dictionary."""
     stated = {name: given.coords[name].item() for name in WATER if name in given.coords}
     stated |= stated_water(given.attrs)
     if not stated:
@@ -80,12 +80,13 @@ def water_parameters(given: Any) -> dict[str, float]:
 
 
 def keep_water(out: xr.Dataset, given: xr.DataArray) -> xr.Dataset:
-    """Return `out` with the coordinates of `given` for water depth and surface tension, if it has them."""
+    """Return `out` with the water depth and surface tension of `given` as coordinates, if it has them."""
     return out.assign_coords({name: given.coords[name] for name in WATER if name in given.coords})
 
 
 def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
-    """Return `given`, if it is a field, and its water parameters; else CubeError for the estimator `name`."""
+    """Return `given` and its water parameters if it is a DataArray, else CubeError for the estimator
+    `name`."""
     if not isinstance(given, xr.DataArray):
         raise CubeError(
             f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"
@@ -94,7 +95,7 @@ def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
 
 
 def a_cube(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return `given`, if it is a cube, and an empty dict; otherwise raise CubeError, as `a_field` does."""
+    """Return `given` and an empty dictionary if it is a cube, else CubeError for the estimator `name`."""
     if isinstance(given, str | Path):
         raise CubeError(f"{name} needs a cube, not its path; use wavefield.open_cube({str(given)!r})")
     if not is_cube(given):

@@ -1,10 +1,8 @@
-"""Compiled inner loops of the spectral estimators, on plain arrays, with results in ``out``.
+"""Compiled inner loops of the spectral estimators, on plain arrays; results are written to ``out``.
 
-A spatial transform is stored by steps, with one value for each cell ky x (kx >= 0). `join` turns it into
-series in time, one for each cell; their Fourier transforms, called lines, are (cells, n). ``start``,
-``ring``, ``weight`` and ``spread`` are those of `Rings`. The loops vectorise: they run along contiguous
-memory, treat real and imaginary parts separately, have no branches, and use unsigned indices where they run
-backwards.
+Spatial transforms have one value per step and cell (wave vector with kx >= 0). Fourier transforms in time are
+(cells, n). ``start``, ``ring``, ``weight`` and ``spread`` are those of `Rings`. For vectorisation, loops have
+no branches, contiguous memory, and unsigned indices where they run backwards.
 """
 
 from typing import Any
@@ -26,8 +24,8 @@ _TILE = 8  # steps transposed at once: a cache line of 64 bytes
 
 @_loose
 def join(first: Array, second: Array, window: Array, out: Array) -> None:
-    """Write a segment without its mean and trend, times ``window`` (n,), into ``out`` (cells, 2 n).
-    ``first`` and ``second`` are its halves (n / 2, 2 cells). Real and imaginary parts alternate."""
+    """Write a segment, detrended and times ``window`` (n,), to ``out`` (cells, 2 n), as real, imaginary,
+    real, ... ``first`` and ``second`` are the halves (n / 2, 2 cells) of the segment."""
     half, columns = first.shape
     n = 2 * half
     middle = (n - 1) / 2
@@ -74,8 +72,8 @@ def _add_row(row: Array, factor: float, out: Array) -> None:
 
 @_loose
 def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Array, out: Array) -> None:
-    """Add powers of Fourier lines f (cells, n), summed over rings, to ``out`` (2, rings, n // 2 + 1).
-    ``out`` gets |f|^2 with ``weight`` and |f|^4 with ``spread``; both signs of omega are added together."""
+    """Add sums over rings of |f|^2 and |f|^4, for transforms f (cells, n), to ``out`` (2, rings, n // 2 + 1).
+    Cells have ``weight`` in |f|^2 and ``spread`` in |f|^4. Positive and negative omega are added together."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n, f.real.dtype)
@@ -101,8 +99,8 @@ def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Arra
 
 @_rounded
 def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Array, out: Array) -> None:
-    """Add cross products conj(f) g of Fourier lines (cells, n) in rings to ``out`` (2, rings, n // 2 + 1).
-    ``out`` gets real and imaginary parts, with the sign of waves exp(i (k . x - omega t))."""
+    """Add sums over rings of conj(f) g, for Fourier transforms (cells, n), to ``out`` (2, rings, n // 2 + 1).
+    ``out`` holds real and imaginary parts, for waves exp(i (k . x - omega t))."""
     cells, n = f.shape
     half = n // 2
     real = np.empty(n, f.real.dtype)
@@ -127,7 +125,8 @@ def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Ar
 
 @_loose
 def ring_squares(f: Array, g: Array, start: Array, ring: Array, spread: Array, out: Array) -> None:
-    """Add |f|^2 |g|^2 of Fourier lines (cells, n), summed over rings, to ``out`` (rings, n // 2 + 1)."""
+    """Add sums over rings of |f|^2 |g|^2, for Fourier transforms (cells, n), to ``out`` (rings, n // 2 +
+    1)."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n)
@@ -148,7 +147,7 @@ def ring_squares(f: Array, g: Array, start: Array, ring: Array, spread: Array, o
 
 @_loose
 def add_powers(f: Array, out: Array) -> None:
-    """Add |f|^2 of Fourier lines f (cells, n) to ``out``, of the same shape."""
+    """Add |f|^2 to ``out``, both (cells, n)."""
     for c in range(f.shape[0]):
         line = f[c]
         to = out[c]
@@ -158,7 +157,8 @@ def add_powers(f: Array, out: Array) -> None:
 
 @_rounded
 def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) -> None:
-    """Add ``real`` times Re(conj(f) g) and ``imaginary`` times Im(conj(f) g) to ``out`` (cells, n)."""
+    """Add ``real`` (n,) times Re(conj(f) g) and ``imaginary`` (n,) times Im(conj(f) g) to ``out`` (cells,
+    n)."""
     for c in range(f.shape[0]):
         a = f[c]
         b = g[c]
@@ -170,8 +170,8 @@ def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) 
 
 @_fast
 def _along(z: Array, factor: float, out: Array) -> None:
-    """Write the derivative of z (n,) into ``out`` (n,); ``factor`` is 1 over the node spacing.
-    It is a central difference of sixth order, of lower order within three nodes of the ends."""
+    """Write the derivative of z (n,) to ``out`` (n,), by central differences of sixth order; lower near the
+    ends. ``factor`` is 1 over the node spacing."""
     n = z.size
     if n > 6:
         a, b, c, d, e, f = z[4:], z[2:], z[5:], z[1:], z[6:], z
@@ -196,7 +196,7 @@ def _along(z: Array, factor: float, out: Array) -> None:
 
 @_fast
 def _across(z: Array, i: int, factor: float, out: Array) -> None:
-    """Write dz/dy at row i of z (y, x), with ``factor`` 1 / dy, into ``out`` (x,), as in `_along`."""
+    """Write dz/dy at row i of z (y, x) to ``out`` (x,), as `_along` does; ``factor`` is 1 / dy."""
     ny, nx = z.shape
     room = min(i, ny - 1 - i)
     if room >= 3:
@@ -223,7 +223,7 @@ def _across(z: Array, i: int, factor: float, out: Array) -> None:
 
 @_fast
 def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
-    """Write dz/dy and dz/dx of z (steps, y, x) into ``z_y`` and ``z_x``, of the same shape."""
+    """Write dz/dy and dz/dx of z (steps, y, x) to ``z_y`` and ``z_x``, of the same shape."""
     for t in range(z.shape[0]):
         for i in range(z.shape[1]):
             _along(z[t, i], 1 / dx, z_x[t, i])
@@ -232,9 +232,8 @@ def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
 
 @_loose
 def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: Array, counts: Array) -> None:
-    """Add the powers 1 to 4 of values (steps, nodes) minus ``mean`` to ``sums`` (4, nodes), and count values.
-    The histogram ``counts`` has ``per_unit`` bins per unit of the values, from ``low`` on; its first and last
-    bin hold all smaller and all larger values."""
+    """Add (value - ``mean``)^p, p = 1 to 4, of values (steps, nodes) to ``sums`` (4, nodes).
+    Count the values in the histogram ``counts``, which has ``per_unit`` bins per unit from ``low`` on."""
     last = counts.size - 1
     for r in range(values.shape[0]):
         for i in range(values.shape[1]):
@@ -252,9 +251,9 @@ def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: A
 
 @_loose
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
-    """Add the power of each wave to the spectrum ``out`` (lines, ny, nx), spread over neighbouring cells.
-    ``first`` (3, waves) is the first cell along each axis, and ``weights`` (3, waves, cells) are fractions.
-    The k plane is periodic: cells beyond an edge are at the opposite edge. Lines outside are left out."""
+    """Add the power of each wave, spread over neighbouring cells, to the spectrum ``out`` (lines, ny, nx).
+    ``first`` (3, waves) is the first cell along each axis, and ``weights`` (3, waves, cells) the
+    fractions."""
     lines, ny, nx = out.shape
     near = weights.shape[2]
     columns = np.empty(near, np.int64)

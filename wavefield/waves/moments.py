@@ -48,9 +48,8 @@ def with_stds(out: xr.Dataset, energy: xr.DataArray, dof: Array, welch: Welch) -
 
 
 def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Array) -> tuple[float, float]:
-    """Return the frequency of the spectral peak and its standard uncertainty, rad/s.
-    A parabola through the logarithm of the highest `valid` line and its neighbours gives the peak. Its
-    uncertainty is the scatter in random spectra with `dof` degrees of freedom. All arrays are (omega,)."""
+    """Return the frequency of the spectral peak, from a parabola, and its standard uncertainty, rad/s.
+    The uncertainty is from spectra drawn with `dof` degrees of freedom. All arrays are (omega,)."""
     measured = np.log(np.maximum(np.nan_to_num(energy), 1e-9 * np.nanmax(energy[valid])))
     white = np.random.default_rng(0).standard_normal((BOOTSTRAP_DRAWS, energy.size + 2))
     # filtered noise with the correlations of the powers of a Hann window's lines, 4/9 and 1/36
@@ -71,7 +70,8 @@ Scales = Mapping[str, tuple[float, float]]  # rough mean and standard deviation 
 
 
 def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return (mean, standard deviation) of each field, from a few steps, for the bins of the histograms."""
+    """Return mean and standard deviation of each field, from eight steps, which set the bins of
+    histograms."""
     part = (
         cube[list(names)]
         .isel(time=record.some_steps(SAMPLED_STEPS), y=slice(*record.y), x=slice(*record.x))
@@ -87,9 +87,9 @@ def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict
 
 
 def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -> dict[str, Array]:
-    """Return sums over the steps of fields (steps, ny, nx), by name, for `label`.
-    "powers <field>" (4, nodes) are sums of (value - rough mean)^p for p = 1 to 4, and "counts <field>" is a
-    histogram; "steps" is their number; "slopes" is the sum of squared slopes of z and their number."""
+    """Return sums over fields (steps, ny, nx) by name, for `label`, with the means and deviations `scales`.
+    "powers <field>" (4, nodes) are sums over steps of (value - mean)^p for p = 1 to 4, "counts <field>" is a
+    histogram, "steps" their number, and "slopes" the sum of squared slopes and their number."""
     out: dict[str, Array] = {}
     for name, values in fields.items():
         mean, std = scales[name]
@@ -105,9 +105,9 @@ def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -
 
 
 def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
-    """Return the moments of a field from sums over steps of (value - `guess`)^p, p = 1 to 4, (4, nodes).
-    They are about the mean in time of each node, since differences between these means are mostly calibration
-    errors. But ``mean`` and ``pdf_std`` are those of all values together."""
+    """Return the moments of a field from `powers`, sums over steps of (value - `guess`)^p, p = 1 to 4, (4,
+    nodes). They are about the mean of each node, because differences between nodes are mostly calibration
+    errors."""
     a1, a2, a3, a4 = powers / steps
     m2 = (a2 - a1**2).mean()
     m3 = (a3 - 3 * a1 * a2 + 2 * a1**3).mean()
@@ -125,7 +125,7 @@ def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
 
 def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, float]) -> Array:
     """Return the density (bins,) of (value - mean) / pdf_std, with mean and pdf_std from `moments`.
-    `counts` (bins,) is the histogram of (value - rough mean) / rough std, and `scale` holds these two."""
+    `counts` (bins,) is a histogram of (value - m) / s, with `scale` = (m, s)."""
     edges = np.linspace(-REACH, REACH, BINS + 1)
     if not moments["pdf_std"] > 0:
         return np.full(BINS, np.nan)
@@ -135,8 +135,8 @@ def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, floa
 
 
 def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
-    """Return the result of `statistics` without peak and uncertainties, from the sums of `sums_of`.
-    `dt`, s, turns velocities into displacements."""
+    """Return the Dataset of `statistics`, without spectral peak and uncertainties, from `sums` of
+    `sums_of`."""
     fields = {name: field for name, field in QUANTITIES.items() if f"powers {field}" in sums}
     rows: dict[str, list[Any]] = defaultdict(list)
     for name, field in fields.items():
@@ -254,8 +254,8 @@ def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma
 def _statistics_group(
     moments: xr.Dataset, fused: xr.Dataset, spectra: xr.Dataset, welch: Welch, depth: float, gamma: float
 ) -> Noted:
-    """Return the group `statistics` of an analysis, with notes on outliers and on a record that is too short.
-    `moments` is from `label`, `fused` from `elevation.fused_group`, and `spectra` the group of that name."""
+    """Return the statistics that `analyze` writes, with notes for the user on outliers and on short
+    records."""
     notes = []
     outliers = zip(moments["quantity"].values, moments["n_outliers"].values)
     found = {str(q): int(n) for q, n in outliers if n}

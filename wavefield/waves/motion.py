@@ -136,7 +136,7 @@ def kinematics_at(snapshot: xr.Dataset) -> xr.Dataset:
 def balance(
     fields: Mapping[str, Array], i: int, dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, float]:
-    """Return the rms over nodes, at step `i`, of w, z_t, nonlinear, residual, vorticity and divergence."""
+    """Return the rms over nodes at step `i` of w, z_t, nonlinear term, residual, vorticity and divergence."""
     step = {name: fields[name][i].astype(float) for name in FIELDS}
     parts = terms(step, dy, dx, current)
     values = {
@@ -151,8 +151,7 @@ def balance(
 
 
 def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
-    """Return the part of the group `kinematics` with the rms of terms at some steps.
-    `rows` holds the result of `balance` and the index ``step`` of each of these steps."""
+    """Return a Dataset over ``step`` of the rms values in `rows`, results of `balance` at some steps."""
     time = cube["time"].values.astype(float)
     steps = np.array([row["step"] for row in rows], int)
     names = [name for name in rows[0] if name != "step"] if rows else []
@@ -170,7 +169,7 @@ def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
 
 
 def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float64]]) -> xr.Dataset:
-    """Return the part of the group `kinematics` with the mean current and its standard uncertainty."""
+    """Return a Dataset of the mean current along x and y and its standard uncertainty, m/s."""
     out, (mean, std) = {}, mean_and_std
     for i, axis in enumerate(("x", "y")):
         out[f"mean_current_{axis}"] = ((), float(mean[i]))
@@ -179,8 +178,8 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Return the part of the group `kinematics` with sqrt(E_nl / E_w) over k and over omega.
-    E_nl is the spectrum of the nonlinear term, and E_w that of w. The 95 % interval is included."""
+    """Return the ratio sqrt(E_nl / E_w) of nonlinear term and w, over k and over omega, with 95 %
+    intervals."""
     out: dict[str, Any] = {}
     w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))
     for axis in ("k", "omega"):

@@ -87,7 +87,8 @@ def phase_average(cube: xr.Dataset, period: float, *, phases: int = 24) -> xr.Da
 
 
 def phase_weights(angle: Array, phases: int) -> Array:
-    """Return the weight of each step in each phase, (steps, phases): linear, in the two nearest phases."""
+    """Return weights (steps, phases) that divide each step between its two nearest phases; `angle` is in
+    rad."""
     place = angle / (2 * np.pi) * phases
     low = np.floor(place)
     out = np.zeros((angle.size, phases))
@@ -98,8 +99,9 @@ def phase_weights(angle: Array, phases: int) -> Array:
 
 
 def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict[str, Array]:
-    """Return sums over steps of fields times `weights` (steps, phases) or `design` (steps, n), and squared.
-    The keys are "mean <field>" (phases, ny, nx), "fit <field>" (n, ny, nx) and "square <field>" (ny, nx)."""
+    """Return sums over steps of fields times `weights` (steps, phases) or `design` (steps, n), and of
+    squares. Arrays "mean <field>" are (phases, ny, nx), "fit <field>" (n, ny, nx) and "square <field>" (ny,
+    nx)."""
     sums: dict[str, Array] = {}
     first = 0
     for run in read.record.runs:
@@ -123,7 +125,6 @@ def _label(
     design: Array,
     sums: dict[str, Array],
 ) -> xr.Dataset:
-    """Return averages, uncertainties and harmonics as a Dataset, from the sums of `_sums`."""
     total = weights.sum(axis=0)
     count, phases = weights.shape
     # effective number of steps in a weighted mean

@@ -42,7 +42,8 @@ class ProbeFit:
     gain: float  # standard deviation of the probe over that of the elevation
 
     def problems(self, dt: float) -> Iterator[tuple[str, str]]:
-        """Yield each fault of the probe and its remedy, two texts; `dt` is the time step of the cube, s."""
+        """Yield each fault of the probe as two texts, fault and remedy; `dt` is the time step of the cube,
+        s."""
         if abs(self.best) < SAME_WAVES:
             yield (
                 f"it is unlike the elevation at its place at any time (correlation {self.best:.2f})",
@@ -64,9 +65,8 @@ class ProbeFit:
 
 
 def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
-    """Compare every probe inside the field with the elevation z (time, y, x) at the position of the probe.
-    The best lag is that of the largest correlation, positive or negative, among lags where the probe covers
-    half of the record. Probes with fewer than 40 samples are left out."""
+    """Compare every probe inside the field with the elevation z (time, y, x) of the cube at its position.
+    The best lag has the largest |correlation|. Probes with few samples or little overlap are left out."""
     time = z["time"].values.astype(float)
     if time.size < MIN_SAMPLES:
         return []
@@ -100,8 +100,8 @@ def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
 
 
 def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: float) -> ProbeFit | None:
-    """Return the fit of a probe, `values` at times `clock`, to the elevation `here` of the cube at `time`.
-    None if the probe covers less than half of the record at every lag."""
+    """Return the comparison of a probe, `values` at times `clock`, with elevations `here` of the cube at
+    `time`. None if the probe covers less than half of the record at every lag."""
     lags, found = correlation(here, values, int(MIN_OVERLAP * time.size))
     if not lags.size:
         return None
@@ -115,8 +115,8 @@ def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: f
 
 
 def correlation(a: Array, b: Array, least: int) -> tuple[NDArray[np.intp], Array]:
-    """Return lags in samples, and the normalised correlation of the series a and b at each lag.
-    Lags with fewer than `least` common finite samples are left out. At a positive lag, b is later than a."""
+    """Return lags in samples, and the normalised correlation of the series a and b at each lag. Lags with
+    fewer than `least` pairs of finite samples are left out. At a positive lag, b is later than a."""
     from scipy.signal import correlate, correlation_lags  # takes a second to import
 
     known = [np.isfinite(v).astype(float) for v in (a, b)]
@@ -140,10 +140,9 @@ LONGEST_GAP = 3  # chosen: samples of a dropout of the logger that are interpola
 
 
 def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, float]) -> xr.Dataset:
-    """Return elevation spectra of `probes` in the time `span` (s) of a record, at the frequencies `omega`.
-    `omega` sets the duration of segments. The mean of the probes has the degrees of freedom of one, since
-    they measure the same waves. Incomplete probes are left out with a warning. Raises CubeError if probes and
-    record overlap in less than a segment, steps are unequal, or no probe is complete."""
+    """Return elevation spectra of `probes` in the time `span` (first, last), s, at the frequencies `omega`.
+    The spacing of `omega` sets the length of segments. Probes with long gaps are left out with a warning.
+    Raises CubeError if no probe is complete, steps are unequal or less than a segment is covered."""
     target = omega.values
     duration = 2 * np.pi / float(omega[1] - omega[0])
     inside, rate = _shared_time(probes["time"].values, span, duration)
@@ -185,8 +184,8 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
 
 
 def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[NDArray[np.bool_], float]:
-    """Return a mask of the probe samples within `span`, s, and their rate, Hz.
-    CubeError if they cover less than a segment, which lasts `duration`, s, or if their steps are unequal."""
+    """Return a mask of the probe samples within `span` (first, last), s, and their sampling rate, Hz.
+    Raises CubeError if they cover less than `duration`, s, or have unequal steps."""
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(
@@ -201,7 +200,7 @@ def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tup
 
 
 def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int]:
-    """Return frequencies, rad/s, the spectral density (probe, omega) and the number of segments.
+    """Return frequencies, rad/s, spectral density (probe, omega) and number of segments, by Welch's method.
     `values` (probe, time) are sampled at `rate`, Hz; segments last `duration`, s."""
     from scipy.signal import welch  # takes a second to import
 
@@ -212,7 +211,6 @@ def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array,
 
 
 def _group(probes: xr.Dataset | None, welch: Welch, cube: xr.Dataset) -> xr.Dataset | None:
-    """Return the spectra of the probes for the group `spectra` of an analysis; None without probes."""
     if probes is None:
         return None
     time, runs = cube["time"].values.astype(float), welch.record.runs

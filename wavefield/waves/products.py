@@ -62,7 +62,7 @@ class WaveProduct:
 
 
 class Noted(NamedTuple):
-    """The value of a product (None if the record does not allow one), with notes for the user."""
+    """The value of a product (None if the data do not allow one), with notes for the user."""
 
     value: Any
     notes: Sequence[str]
@@ -90,8 +90,8 @@ def registered() -> list[WaveProduct]:
 def compute_ready(
     waiting: list[WaveProduct], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
 ) -> dict[str, Sequence[str]]:
-    """Compute all products in `waiting` whose inputs are or become known; return their notes by name.
-    They leave `waiting`, and their values enter `values`. `each(work, items)` runs costly ones on workers."""
+    """Compute products in `waiting` until no more inputs become known; return their notes by product name.
+    Computed products move from `waiting` to `values`. `each(work, items)` computes costly ones on workers."""
     notes: dict[str, Sequence[str]] = {}
     while ready := [product for product in waiting if all(name in values for name in product.inputs)]:
         # quick products first, so that as many as possible of the others can run in parallel
@@ -107,8 +107,8 @@ def compute_ready(
 
 
 def _computed(job: tuple[Callable[..., Any], Sequence[object], str]) -> Noted:
-    """Compute a product; `job` holds its `compute`, the inputs, and its `without` (see `WaveProduct`).
-    On CubeError, the note is `without` and the reason; if `without` is empty, the error is raised."""
+    """Call the function of a product; `job` holds `compute`, its inputs and `without` (see `WaveProduct`).
+    On CubeError, return a note made of `without` and the message; if `without` is empty, raise."""
     compute, inputs, without = job
     with np.errstate(all="ignore"):
         try:

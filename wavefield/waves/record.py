@@ -25,8 +25,8 @@ ROUNDS = 3  # alternations between the prior spectrum and the filled values; a f
 
 
 def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
-    """Return a block (steps, ny, nx) with the most probable values at NaN and at steps in the mask `missing`.
-    Few gaps are filled one by one, each from values around it; many in one fit, from first to last gap."""
+    """Return a block (steps, ny, nx) with the most probable values at NaN and at steps in the mask
+    `missing`."""
     if not missing.any() and all_finite(block):
         return block
     hole = ~np.isfinite(block) | missing[:, None, None]
@@ -44,7 +44,7 @@ def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
 
 def fill_error(block: Array) -> float:
     """Return the standard deviation of the error of `fill` at the middle step of a block; NaN if unknown.
-    Measured values half the width of the block away from the holes are removed, filled and compared."""
+    For this, measured values are removed in the shape of the holes but elsewhere, filled and compared."""
     holes = ~np.isfinite(block)
     ny, nx = holes.shape[1:]
     elsewhere = np.roll(holes, (ny // 2, nx // 2), (1, 2))  # at all steps, since a hole may last
@@ -56,10 +56,9 @@ def fill_error(block: Array) -> float:
 
 
 def most_probable(block: Array, hole: NDArray[np.bool_]) -> Array:
-    """Return the most probable values at the holes of a block (steps, ny, nx), as (hole.sum(),).
-    They are the conditional mean of a Gaussian process. Its spectrum S(omega, |k|) is that of the filled
-    block, so S and the values are found in turns. The missing nodes m and observed nodes o of the
-    fluctuations x satisfy x_m = G_mm x_m + G_mo x_o, with the filter G of gain 1 - min(S) / S."""
+    """Return the most probable values where `hole` is true in a block (steps, ny, nx), as (hole.sum(),).
+    They are the conditional mean of a Gaussian process with the spectrum S of the filled block. Missing
+    values m and observed values o satisfy x_m = G_mm x_m + G_mo x_o, with the filter G = 1 - min(S) / S."""
     mean = block[~hole].mean(dtype=float)
     known = np.where(hole, 0, block - mean).astype(block.dtype)
     weight = ndimage.gaussian_filter((~hole).astype(block.dtype), 1.0)
@@ -87,8 +86,8 @@ def _with(known: Array, hole: NDArray[np.bool_], values: Array) -> Array:
 
 
 def _conditional_mean(gain: Array, known: Array, hole: NDArray[np.bool_], x: Array) -> Array:
-    """Solve x_m = G_mm x_m + G_mo x_o for x_m, (n,), by conjugate gradients that start from `x`.
-    `gain` is that of G for each line of the cosine transform; `known` is x_o, with 0 in the `hole`."""
+    """Solve x_m = G_mm x_m + G_mo x_o for the missing x_m, (n,), by conjugate gradients that start from `x`.
+    `gain` is G in cosine-transform space; `known` is x_o, with 0 where `hole` is true."""
     from scipy.sparse.linalg import LinearOperator, cg  # slow to import; few records need it
 
     def predicted(whole: Array) -> Array:
@@ -140,11 +139,11 @@ class Record:
         return max((b - a for a, b in self.runs), default=0)
 
     def steps_in_runs(self, shortest: int = 1) -> int:
-        """Total number of steps of the runs that are not shorter than ``shortest``."""
+        """Total number of steps in the runs with at least ``shortest`` steps."""
         return sum(b - a for a, b in self.runs if b - a >= shortest)
 
     def some_steps(self, count: int) -> list[int]:
-        """Return at most ``count`` evenly spaced measured steps of the runs."""
+        """Return at most ``count`` evenly spaced steps that are measured and inside runs."""
         missing = set(self.bridged)
         steps = [t for a, b in self.runs for t in range(a, b) if t not in missing]
         return sorted({steps[i] for i in np.linspace(0, len(steps) - 1, count).astype(int)})
@@ -198,7 +197,7 @@ def check_axes(array: xr.DataArray | xr.Dataset) -> tuple[float, float, float]:
 
 
 class _Stored:
-    """Part of a field on disk: read whenever it is converted to an array, and not cached by xarray."""
+    """Part of a field on disk, read each time it is converted to a numpy array and not cached."""
 
     def __init__(self, variable: xr.Variable, area: tuple[slice, slice, slice]) -> None:
         self.variable, self.area = variable, area
@@ -210,7 +209,7 @@ class _Stored:
 
 
 def piece(array: xr.DataArray, steps: slice, rows: slice = slice(None), columns: slice = slice(None)) -> Any:
-    """Return part of a field, (steps, rows, columns): a dask array if the field has dask chunks.
+    """Return part of a field (steps, rows, columns): a dask array if the field has dask chunks.
     Otherwise it is an object that is read when converted to a numpy array."""
     if array.chunks is None:
         return _Stored(array.variable, (steps, rows, columns))
@@ -218,20 +217,20 @@ def piece(array: xr.DataArray, steps: slice, rows: slice = slice(None), columns:
 
 
 def chunk_steps(field: xr.DataArray) -> int:
-    """Return the number of steps in a chunk, of dask or of the store; 1 for a field in memory."""
+    """Return the number of time steps in a chunk of the field (dask or on disk); 1 for a field in memory."""
     if field.chunks is not None:
         return int(field.chunks[field.get_axis_num("time")][0])
     return int(field.encoding.get("preferred_chunks", {}).get("time", 1))
 
 
 def all_finite(block: np.ndarray) -> bool:
-    """Whether all values are finite. The sum is tested, which is faster than a test of each value."""
+    """Return True if all values are finite, from their sum, which is faster than a test of each value."""
     return bool(np.isfinite(block.sum()))
 
 
 def outside_holes(finite: np.ndarray) -> np.ndarray:
-    """Return a mask (steps, ny, nx) that is True outside holes, from the mask `finite` of measured nodes.
-    A hole consists of squares of `HOLE_SIDE` x `HOLE_SIDE` missing nodes; nodes beyond an edge count, too."""
+    """Return a mask (steps, ny, nx) that is true outside holes, from the mask `finite` of measured nodes.
+    A hole is a gap that contains 3 x 3 missing nodes; nodes beyond an edge count as missing."""
     side = np.ones((1, HOLE_SIDE, HOLE_SIDE), bool)
     holes = np.zeros_like(finite)
     for axis in (1, 2):  # one axis at a time, or a single missing node in a corner would be a hole
@@ -243,7 +242,7 @@ def outside_holes(finite: np.ndarray) -> np.ndarray:
 
 
 def _finite(pieces: list[object]) -> np.ndarray | None:
-    """Return two packed masks (2, steps, bytes): nodes measured in all fields, and nodes outside holes.
+    """Return bit-packed masks (2, steps, bytes) of nodes measured in all fields and of nodes outside holes.
     `pieces` holds a block (steps, ny, nx) of each field. The result is None if no value is missing."""
     mask = None
     for part in pieces:  # one field at a time saves memory
@@ -257,7 +256,6 @@ def _finite(pieces: list[object]) -> np.ndarray | None:
 
 
 def _runs(valid_steps: np.ndarray) -> tuple[list[tuple[int, int]], list[int]]:
-    """Return the runs of valid steps, as (first, past the last), and the missing steps inside them."""
     edges = np.flatnonzero(np.diff(np.r_[False, valid_steps, False].astype(int)))
     runs: list[tuple[int, int]] = []
     bridged: list[int] = []
@@ -275,10 +273,9 @@ def _finite_steps(arrays: Sequence[xr.DataArray], steps: tuple[int, int]) -> np.
 
 
 def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Record:
-    """Return the largest rectangle of measured nodes, and the runs of measured steps, of a cube.
-    Nodes that are missing at some steps, and gaps of at most two steps, are interpolated; longer gaps split
-    the record. Values are read once; only masks are kept. `each(work, items)` maps work over items on
-    workers. Raises CubeError if steps of axes are unequal or no rectangle of 8 x 8 nodes is measured."""
+    """Return the largest rectangle of measured nodes of a cube, and its runs of measured steps.
+    Missing nodes, and one or two missing steps, are to be interpolated; longer gaps end a run. `each(work,
+    items)` applies work to items on workers. CubeError if no rectangle of 8 x 8 nodes is measured."""
     dt, dy, dx = check_axes(cube)
     arrays = [cube] if isinstance(cube, xr.DataArray) else [cube[name] for name in FIELDS if name in cube]
     if not arrays:
@@ -307,15 +304,14 @@ def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Re
 
 @dataclass(frozen=True)
 class _ValidNodes:
-    """Masks of measured nodes and of nodes outside holes, packed as bits, for each piece of a record."""
+    """Masks of measured nodes and of nodes outside holes, packed as bits, for successive intervals of
+    time."""
 
     pieces: Sequence[tuple[int, int]]
     masks: Sequence[np.ndarray | None]  # None for a piece without gaps
     shape: tuple[int, int]
 
     def __iter__(self) -> Iterator[tuple[slice, np.ndarray | None]]:
-        """Yield the steps of each piece and its masks (2, steps, ny, nx): measured, and outside holes.
-        The masks are None if the piece has no gaps."""
         ny, nx = self.shape
         for mask, (a, b) in zip(self.masks, self.pieces):
             if mask is None:
@@ -326,7 +322,6 @@ class _ValidNodes:
 
 
 def _measured(cube: object, steps: int) -> np.ndarray:
-    """Return a mask of the steps that ``frame_status``, where present, marks as measured."""
     if isinstance(cube, xr.Dataset) and "frame_status" in cube:
         done = FrameStatus.DONE, FrameStatus.DONE_WITH_FAULTS
         return np.isin(cube["frame_status"].values, done)
@@ -350,9 +345,8 @@ def _valid_steps(valid_nodes: _ValidNodes, measured: np.ndarray) -> np.ndarray:
 def _rectangle(
     valid_nodes: _ValidNodes, valid_steps: np.ndarray, open_water: np.ndarray
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the largest rectangle of nodes that can be used, as ranges (first, past the last) of y and x.
-    Its nodes are in `open_water`, and at least half of the valid steps measure them. Nine tenths of these
-    steps have them outside holes."""
+    """Return the largest usable rectangle of nodes in the mask `open_water`, as (first, last + 1) of y and x.
+    Usable nodes are measured in half of the valid steps, and outside holes in nine tenths of them."""
     times = np.zeros((2, *valid_nodes.shape), int)  # number of steps measured, and outside of holes
     for steps, there in valid_nodes:
         valid = valid_steps[steps]
@@ -371,7 +365,7 @@ def _rectangle(
 
 
 def _never_masked(cube: xr.Dataset | xr.DataArray, valid_nodes: _ValidNodes) -> np.ndarray:
-    """Return a mask (ny, nx), True for nodes that are masked at no step: masked nodes are not water."""
+    """Return a mask (ny, nx) of the nodes that are masked at no step; masked nodes are not water."""
     out = np.ones(valid_nodes.shape, bool)
     if isinstance(cube, xr.Dataset) and "quality" in cube:
         for steps, there in valid_nodes:
@@ -382,7 +376,7 @@ def _never_masked(cube: xr.Dataset | xr.DataArray, valid_nodes: _ValidNodes) -> 
 
 
 def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
-    """Return the record of all nodes and steps of an array without missing values, without reading it."""
+    """Return a `Record` of all nodes and steps of an array without missing values, without reading it."""
     dt, dy, dx = check_axes(array)
     steps, ny, nx = (array.sizes[name] for name in CUBE_DIMS)
     return Record((0, ny), (0, nx), ((0, steps),), (), steps, 0, dt, dy, dx)
@@ -390,7 +384,7 @@ def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
 
 def filled_error(record: Record, field: xr.DataArray) -> float:
     """Return the standard deviation of the error of `field` at interpolated nodes.
-    It is 0 if there are no such nodes, and NaN if it cannot be estimated."""
+    It is 0 if there are no interpolated nodes, and NaN if it cannot be estimated."""
     if not record.holes:
         return 0.0
     inside = [t for a, b in record.runs for t in range(a + FILL_MARGIN, b - FILL_MARGIN)]
@@ -406,6 +400,6 @@ def filled_error(record: Record, field: xr.DataArray) -> float:
 
 
 def filled_density(record: Record, field: xr.DataArray) -> float:
-    """Return the white spectrum that errors at interpolated nodes add to E(omega); 0 if unknown."""
+    """Return the power that errors of interpolated nodes add to E(omega) at every omega; 0 if unknown."""
     share = record.holes / max(record.steps_in_runs() * record.shape[0] * record.shape[1], 1)
     return float(np.nan_to_num(share * filled_error(record, field) ** 2 * record.dt / np.pi))

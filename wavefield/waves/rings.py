@@ -43,7 +43,8 @@ def half_plane(ny: int, nx: int, dy: float, dx: float) -> np.ndarray:
 
 
 def mirror_weights(nx: int) -> np.ndarray:
-    """Return weights of the columns kx >= 0, (nx // 2 + 1,), for sums over the full, symmetric k plane."""
+    """Return weights (nx // 2 + 1,) of kx >= 0 that make sums over this half plane sums over all wave
+    vectors."""
     weights = np.full(nx // 2 + 1, 2.0)
     weights[0] = 1
     if nx % 2 == 0:
@@ -52,7 +53,8 @@ def mirror_weights(nx: int) -> np.ndarray:
 
 
 def _hann_overlap(n: int) -> sparse.csr_array:
-    """Return the squared correlation of the `n` lines of a Hann-windowed transform of white noise, (n, n)."""
+    """Return the squared correlation (n, n) between the `n` Fourier coefficients of Hann-windowed white
+    noise."""
     rows = np.arange(n)
     out = sparse.eye_array(n, format="csr") * HANN_CORRELATION[0]
     for shift, value in enumerate(HANN_CORRELATION[1:], start=1):
@@ -63,8 +65,8 @@ def _hann_overlap(n: int) -> sparse.csr_array:
 
 @lru_cache(maxsize=8)
 def rings(ny: int, nx: int, dy: float, dx: float) -> Rings:
-    """Return the rings, as wide as a cell, of the k plane of ny x nx nodes, which are dy and dx (m) apart.
-    The corners are included. Each of 8 x 8 parts of a cell belongs to the ring that contains its centre."""
+    """Return the rings of |k| for ny x nx nodes with spacings dy and dx, m; a ring is as wide as a cell.
+    Cells are divided between rings by area, in 8 x 8 parts."""
     cell_y, cell_x = 2 * np.pi / (ny * dy), 2 * np.pi / (nx * dx)
     dk = max(cell_y, cell_x)
     part = (np.arange(SUPERSAMPLING) + 0.5) / SUPERSAMPLING - 0.5

@@ -1,4 +1,4 @@
-"""Smoothing over time: the free waves that best fit the fields of a few successive steps, a window."""
+"""Smoothing over time: free waves are fitted to the fields of a few successive steps, called a window."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,9 +35,9 @@ ROUNDS = 8  # rounds of learning; in the last, spectra change by a few per cent
 
 
 class PlaneWaves:
-    """Linear model of z, u, v and the rate of rise: free waves on a current, plus a constant per field.
-    Its n complex unknowns are wave amplitudes and four constants; an array (2 n,) of them holds all real,
-    then all imaginary parts. Rings of |k| are closer than the resolution, so fields need not be periodic."""
+    """Linear model of z, u, v and rate of rise in a rectangle of nodes: free waves, plus a constant per
+    field. Its n complex unknowns (wave amplitudes, four constants) are stored as real, then imaginary parts,
+    (2 n,)."""
 
     def __init__(
         self, shape: tuple[int, int], step: float, times: Array, current: Array, depth: float, gamma: float
@@ -80,17 +80,16 @@ class PlaneWaves:
         return self._sums(self.response, unknowns)
 
     def slopes(self, unknowns: Array, time: int) -> Array:
-        """Return the slopes z_x, z_y, (2, ny, nx), for given unknowns; `time` is an index."""
+        """Return the slopes z_x, z_y, (2, ny, nx), for given unknowns (2 n,) at the index `time`."""
         return self._sums(self._slope_response(time)[:, None], unknowns)[:, 0]
 
     def _slope_response(self, time: int) -> NDArray[np.complex128]:
-        """Return the response of z_x and z_y to each unknown, (2, n); `time` is an index."""
+        """Return the derivatives of z_x and z_y with respect to each complex unknown, (2, n), at the index
+        `time`."""
         k = np.stack([np.append(self.kx, 0.0), np.append(self.ky, 0.0)])
         return np.asarray(1j * k[:, self.vector] * self.response[0, time])
 
     def _sums(self, response: NDArray[np.complex128], unknowns: Array) -> Array:
-        """Return the fields (fields, times, ny, nx) that the unknowns give.
-        `response` (fields, times, n) is that of each field to each unknown."""
         real, imaginary = np.split(unknowns, 2)
         each = response * (real + 1j * imaginary)
         n = self.kx.size
@@ -99,15 +98,16 @@ class PlaneWaves:
         return np.asarray((flat @ self.basis.T).reshape(*each.shape[:2], *self.shape))
 
     def transposed(self, weighted: Array) -> Array:
-        """Return the transpose of the linear map `fields`, (2 n,), for `weighted` (4, times, ny, nx)."""
+        """Return the transpose of the linear map `fields`, (2 n,), applied to `weighted` (4, times, ny,
+        nx)."""
         sums = weighted.reshape(-1, self.basis.shape[0]) @ self.basis
         real, imaginary = np.split(sums.reshape(*weighted.shape[:2], -1), 2, axis=-1)
         out = ((real + 1j * imaginary)[..., self.vector] * self.response).sum(axis=(0, 1))
         return np.concatenate([out.real, -out.imag])
 
     def products(self, mask: Mask) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Return the sums of conj(E_k) E_l and of E_k E_l over the nodes of `mask`, each (n, n).
-        E_k is the plane wave exp(i k . x) of unknown k, or 1 for a constant."""
+        """Return sums over the nodes of `mask` of conj(E_k) E_l and of E_k E_l, each (n, n).
+        E_k is the plane wave exp(i k . x) of an unknown, or 1 for a constant."""
         real, imaginary = np.split(self.basis[mask.ravel()], 2, axis=1)
         waves = real + 1j * imaginary
         at = np.ix_(self.vector, self.vector)
@@ -116,8 +116,8 @@ class PlaneWaves:
     def normal(
         self, products: tuple[NDArray[np.complex128], ...], variance: Sequence[float] | Array
     ) -> Array:
-        """Return the normal matrix of the least-squares fit, (2 n, 2 n), for n unknowns.
-        `products` is the result of the method of that name; `variance` (4,) is that of the fields' noise."""
+        """Return the normal matrix (2 n, 2 n) of a least-squares fit of the n unknowns. `products` are from
+        the method of that name; `variance` (4,) is the noise variance of z, u, v, rate of rise."""
         q = self.response.reshape(FIELDS, self.times.size, -1) / np.sqrt(np.asarray(variance))[:, None, None]
         q = q.reshape(-1, self.vector.size)
         hermitian, symmetric = products[0] * (q.conj().T @ q), products[1] * (q.T @ q)
@@ -126,8 +126,8 @@ class PlaneWaves:
         return 0.5 * np.concatenate([upper, lower])
 
     def rows(self, nodes: NDArray[np.intp], time: int) -> Array:
-        """Return the response of z, u, v, rise, z_x and z_y to the n unknowns at some nodes, (6, nodes, 2 n).
-        `nodes` are indices in the flattened rectangle, and `time` is the index of a time."""
+        """Return the derivatives (6, nodes, 2 n) of z, u, v, rate of rise, z_x and z_y with respect to the
+        unknowns. `nodes` are indices in the flattened rectangle, and `time` is the index of a time."""
         real, imaginary = np.split(self.basis[nodes], 2, axis=1)
         response = np.concatenate([self.response[:, time], self._slope_response(time)])
         each = (real + 1j * imaginary)[:, self.vector] * response[:, None]
@@ -151,22 +151,22 @@ class Posterior:
         return np.asarray(self.scale * out)
 
     def covariance(self, rows: Array) -> Array:
-        """Return the covariance of r linear functions of the unknowns at some nodes, (nodes, r, r).
-        `rows` (r, nodes, 2 n) has the coefficients of the functions."""
+        """Return the posterior covariance (nodes, r, r) of r linear functions of the unknowns at some nodes.
+        `rows` (r, nodes, 2 n) holds the coefficients of these functions."""
         flat = (rows * self.scale).reshape(-1, self.scale.size).T
         half = scipy.linalg.solve_triangular(self._lower, flat, lower=True, check_finite=False)
         half = half.reshape(-1, *rows.shape[:2])
         return np.asarray(np.einsum("prn,psn->nrs", half, half, optimize=True))
 
     def covariance_of_unknowns(self) -> Array:
-        """Return the covariance (2 n, 2 n) of the real, then the imaginary parts of the n unknowns."""
+        """Return the posterior covariance of the unknowns, (2 n, 2 n)."""
         lower, _ = scipy.linalg.lapack.dpotri(self._lower, lower=True)
         inverse = np.tril(lower) + np.tril(lower, -1).T
         return np.asarray(self.scale[:, None] * inverse * self.scale)
 
     def solve_partial(self, waves: PlaneWaves, fields: Array, weight: Array) -> Array:
-        """Return the posterior mean for fields with missing nodes, where `weight`, 1 / noise variance, is 0.
-        Conjugate gradients solve the equations, with the fit to all nodes as the preconditioner."""
+        """Return the posterior mean of the unknowns, (2 n,), for fields with missing values, by conjugate
+        gradients. `weight` is 1 / noise variance, and 0 where `fields` (4, times, ny, nx) are missing."""
         size = self.scale.size
         matrix = LinearOperator(
             (size, size), lambda x: x / self.scale**2 + waves.transposed(weight * waves.fields(x))
@@ -188,9 +188,8 @@ class Learned:
 
 
 def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array) -> Learned:
-    """Return spectrum and noise, from sample windows (4, times, ny, nx) that are 0 outside `mask` (ny, nx).
-    In each round of expectation maximisation, the variance of a ring becomes the mean square of its
-    amplitudes plus their posterior variance. ``variance`` (4,) is the noise variance that the cube gives."""
+    """Return wave spectrum and noise, from sample windows (4, times, ny, nx) that are 0 outside `mask`.
+    They are found by expectation maximisation. ``variance`` (4,) is the noise variance given by the cube."""
     products = waves.products(mask)
     # the noise that resembles waves is estimated on an orthogonal basis of all plane waves
     basis = waves.basis[mask.ravel()]
@@ -237,8 +236,8 @@ JUMP_OF_TIME = -1.0  # marks a step at which time jumps, in place of its quality
 
 
 class _Smoother:
-    """Smooths single steps of a record, in overlapping rectangles of nodes that together cover the grid.
-    It keeps the spectrum and noise that `study` learns, and the fits of all rectangles."""
+    """Smooths one time step after the other, in overlapping rectangles of nodes that together cover the
+    grid."""
 
     def __init__(
         self,
@@ -269,9 +268,8 @@ class _Smoother:
         self._fits: dict[int, tuple[Posterior, Array]] = {}
 
     def parts(self, window: Array) -> tuple[Array, Array, Array]:
-        """Return z, u, v and rate of rise, (4, times, ny, nx), variances of the same shape, and a mask.
-        The mask (times, ny, nx) is true for measured nodes. `window` (9, times, ny, nx) holds z, u, v, w,
-        their standard uncertainties, and quality."""
+        """Return z, u, v and rate of rise (4, times, ny, nx), their variances, and a mask of measured nodes.
+        `window` (9, times, ny, nx) holds z, u, v, w, their standard uncertainties, and quality."""
         z, u, v, w = window[:4].astype(float)
         z_y, z_x = slopes(z, self.step, self.step)
         fields = np.stack([z, u, v, w - u * z_x - v * z_y])
@@ -281,9 +279,9 @@ class _Smoother:
         return np.where(there, fields, 0.0), np.where(there, variance, 1.0), there
 
     def study(self, windows: list[Array]) -> None:
-        """Learn spectrum and noise from sample windows (9, times, ny, nx), as in `parts`; they set `learned`.
-        Only the half of the windows with the most measured nodes is used. Raises CubeError if less than a
-        quarter of the nodes of the best rectangle are measured at all their times."""
+        """Estimate wave spectrum and noise (`learned`) from sample windows (9, times, ny, nx), as in `parts`.
+        The more complete half of the windows is used. CubeError if under a quarter of the nodes are
+        measured."""
         parts = [self.parts(window) for window in windows]
         shares = [there.mean() for _, _, there in parts]
         parts = [parts[i] for i in np.argsort(shares, kind="stable")[len(parts) // 2 :]]
@@ -303,8 +301,8 @@ class _Smoother:
         self.learned = learn(self.waves, mask, samples, variance)
 
     def fit_of(self, number: int) -> tuple[Posterior, Array]:
-        """Return the posterior of rectangle `number`, and the covariance of its fields at the middle time.
-        The covariance (ny, nx, 6, 6) is of z, u, v, rate of rise, z_x and z_y. Both are computed once."""
+        """Return the posterior of rectangle `number`, and a covariance (ny, nx, 6, 6) at the middle time.
+        The covariance is between z, u, v, rate of rise, z_x and z_y at each node. Results are cached."""
         if number not in self._fits:
             waves, mask = self.waves, self.mask[self.tiles[number]]
             normal = waves.normal(waves.products(mask), self.learned.noise)
@@ -340,7 +338,7 @@ class _Smoother:
 
     def _tile(self, number: int, fields: Array, variance: Array, there: Array, own: Array) -> Array:
         """Return z, u, v, w and their variances, (8, ny, nx), of rectangle `number` at the middle step.
-        `fields`, `variance` and `there` are from `parts`; `own` is z, u, v, w of the middle step."""
+        `fields`, `variance` and `there` are from `parts`; `own` is the measured z, u, v, w at this step."""
         waves, learned, middle = self.waves, self.learned, self.steps
         posterior, covariance = self.fit_of(number)
         mask = self.mask[self.tiles[number]]

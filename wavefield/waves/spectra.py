@@ -1,7 +1,6 @@
 """Power spectra of a field: E(omega, ky, kx), E(k, omega), E(omega) and E(k), by Welch's method.
 
-Fields are transformed in space step by step, then in time segment by segment. Transforms hold only kx >= 0,
-because the spectrum of a real field is symmetric.
+Transforms hold only kx >= 0, because the spectrum of a real field is symmetric.
 """
 
 from functools import partial
@@ -34,7 +33,7 @@ Array = NDArray[Any]
 
 def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return E(k, omega): `given` itself if it is a result of `komega`, or the spectrum of a field `given`.
-    Otherwise raise CubeError for the estimator `name`."""
+    Raises CubeError for other arguments, with `name`, the name of the estimator, in the message."""
     if is_field(given):
         return komega(given), {}
     if isinstance(given, xr.Dataset) and "E" in given and {"omega", "k"} <= {*given["E"].dims}:
@@ -46,13 +45,12 @@ def a_komega(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
 
 
 def _name(field: xr.DataArray) -> str:
-    """Return the name of a field (its ``long_name`` if it has one) for the attributes of its spectra."""
     return str(field.attrs.get("long_name", field.name))
 
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
-    """Convert the power on kx >= 0, (cells, n), to omega >= 0 on the whole k plane, (n // 2 + 1, ny, nx).
-    In the result, k points where waves go: numpy's transform has cos(k . x - omega t) at (k, -omega)."""
+    """Return the power at omega >= 0 in the whole k plane, (n // 2 + 1, ny, nx), from `power` at kx >= 0.
+    In the result, k points where waves go. In numpy's transform, cos(k . x - omega t) is at (k, -omega)."""
     n = power.shape[-1]
     power = power.reshape(ny, nx // 2 + 1, n)
     columns = np.arange(nx)
@@ -67,7 +65,7 @@ def unfold(power: Array, ny: int, nx: int) -> Array:
 
 
 def density(power: Array, welch: Welch) -> Array:
-    """Return E(omega, ky, kx) from the power on kx >= 0, (cells, n), that is summed over segments."""
+    """Return E(omega, ky, kx) from `power` (cells, n) at kx >= 0, summed over segments."""
     values = unfold(power, *welch.record.shape)
     values *= power.dtype.type(welch.density)
     return values
@@ -122,7 +120,7 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
 
 
 def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dataset:
-    """Return `values`, E(omega, ky, kx) of a field with this name and these units, with its interval."""
+    """Return a Dataset of `values`, E(omega, ky, kx) of a field `name` in `units`, with 95 % interval."""
     low, high = interval(welch.dof)
     parts = {"E": values, "dof": ((), welch.dof), "low": ((), float(low)), "high": ((), float(high))}
     out = xr.Dataset(parts, coords=omega_coords(welch.omega) | welch.plane, attrs=welch.attrs)
@@ -132,7 +130,8 @@ def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dat
 
 
 def total(density: xr.DataArray) -> xr.DataArray:
-    """Return the integral of a spectrum over all of its axes omega, k, ky, kx: the variance of the field."""
+    """Return the integral of a spectrum over all its axes omega, k, ky, kx, which is the variance of the
+    field."""
     out = density
     for name in ("omega", "k", "ky", "kx"):
         if name in density.dims:
@@ -184,8 +183,8 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
 def ring_spectrum(
     field: xr.DataArray, segment: int | None = None, record: Record | None = None, nodes: bool = False
 ) -> xr.Dataset:
-    """Return E(k, omega) as `komega` does. With `nodes`, unless some are missing, add ``E_nodes`` (omega),
-    the mean of the spectra of all nodes, and the degrees of freedom of that mean as ``dof_omega``."""
+    """Return the Dataset of `komega`. If `nodes` is true and no node is missing, add ``E_nodes`` (omega).
+    ``E_nodes`` is the mean of the frequency spectra of all nodes, with ``dof_omega`` degrees of freedom."""
     welch = Welch.of(field, segment, record)
     table = welch.table
     # interpolated nodes near the edges are less accurate; only the spatial window gives them little weight
@@ -212,14 +211,14 @@ def ring_spectrum(
 
 
 def _attrs_of_sum(given: xr.DataArray | xr.Dataset, axis: str) -> dict[str, Any]:
-    """Return attributes (name and units) for E(omega) or E(k), sums of `given`, a result of `komega`."""
+    """Return attributes (name and units) for E(omega) or E(k), a sum of the result `given` of `komega` along
+    `axis`."""
     if "field" not in given.attrs:  # several quantities of an analysis
         return TABLE[f"spectra/E_{axis}"].attrs
     return TABLE[f"{axis}/E"].of(given.attrs["field"], density_units(given.attrs["field_units"], axis))
 
 
 def _over_nodes(given: Any, name: str) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return what `a_komega` returns; the spectrum of a field then includes ``E_nodes``."""
     return (ring_spectrum(given, nodes=True), {}) if is_field(given) else a_komega(given, name)
 
 
@@ -305,7 +304,7 @@ PLANE = {"omega", "ky", "kx"}
 
 def plane_of(field: str, segment: int | None = None) -> Convert:
     """Return a function, for `takes`, that converts a spectrum, field or cube to E(omega, ky, kx).
-    Of a cube, it computes the spectrum of the variable `field`, with `segment` steps in a Welch segment."""
+    For a cube, it computes the spectrum of the variable `field`, with `segment` steps in a Welch segment."""
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
         water: dict[str, Any] = (
@@ -330,7 +329,7 @@ def plane_of(field: str, segment: int | None = None) -> Convert:
 
 
 def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> xr.DataArray:
-    """Return E(omega, ky, kx) of the field `name` from `sums`, and remove the sums of this field there."""
+    """Return E(omega, ky, kx) of the field `name` from `sums`, and delete the field's sums to free memory."""
     power = sums.pop(f"map {name}")  # frees memory: no other product needs it
     values = xr.Variable(("omega", "ky", "kx"), density(power, welch))
     return plane_density(values, FIELD_TEXTS[name], FIELD_UNITS[name], welch)["E"]
@@ -340,13 +339,14 @@ MAP_FREQUENCIES = (1.5, 2.0, 2.8, 4.0)  # Hz, of the maps E(ky, kx); 2.8 Hz is t
 
 
 def map_lines(welch: Welch) -> list[int]:
-    """Return the indices of the lines nearest to `MAP_FREQUENCIES`, without those at 0 and at Nyquist."""
+    """Return the indices of the frequencies nearest to `MAP_FREQUENCIES`, without zero and Nyquist."""
     lines = welch.omega / (2 * np.pi)
     return sorted({int(np.abs(lines - f).argmin()) for f in MAP_FREQUENCIES if f < lines[-2]} - {0})
 
 
 def maps(z: xr.DataArray, w: xr.DataArray, welch: Welch) -> xr.Dataset:
-    """Return ``E_kxky`` (quantity_map, omega_map, ky, kx): E(omega, ky, kx) of z and w at `map_lines`."""
+    """Return ``E_kxky`` (quantity_map, omega_map, ky, kx): E(omega, ky, kx) of z and w at a few
+    frequencies."""
     parts = [field.isel(omega=map_lines(welch)) for field in (z, w)]
     both = xr.concat(parts, xr.Variable("quantity_map", ["z", "w"]))
     return both.drop_vars("frequency").rename(omega="omega_map").drop_attrs().to_dataset(name="E_kxky")

@@ -43,13 +43,14 @@ class Requested:
 
 
 def sources(names: Sequence[str]) -> list[str]:
-    """Return the fields of a cube from which the quantities `names` are computed."""
+    """Return the variables of a cube from which the quantities `names` are computed."""
     fields = [ADVECTED if name in ("rise", "nl") else (name,) for name in names]
     return list(dict.fromkeys(field for of_name in fields for field in of_name))
 
 
 def advected(fields: Mapping[str, Array], welch: Welch) -> dict[str, Array]:
-    """Return nl = (u - U) . grad z and rise = z_t + U . grad z, (steps, ny, nx), for the current U."""
+    """Return nl = (u - U) . grad z and rise = z_t + U . grad z, (steps, ny, nx), for the current U of
+    `welch`."""
     z, z_t, u, v = (fields[name] for name in ADVECTED)
     z_y, z_x = np.empty_like(z), np.empty_like(z)
     kernels.gradient(z, welch.record.dy, welch.record.dx, z_y, z_x)
@@ -68,10 +69,9 @@ def advected(fields: Mapping[str, Array], welch: Welch) -> dict[str, Array]:
 def transforms(
     fields: dict[str, Array], requested: Requested, welch: Welch, memory: Mapping[str, Array] | None = None
 ) -> dict[str, Array]:
-    """Return the spatial transforms (cells, steps) of the quantities in half a segment, by name.
-    "points <name>" (nodes, steps) holds values at 16 nodes, and "nodes" (pairs, steps) those at all nodes,
-    two in each complex number. `fields` is emptied to free memory; the transforms in `memory` are
-    overwritten."""
+    """Return the spatial Fourier transforms (cells, steps) of the quantities in half a segment, by name.
+    "points <name>" (16, steps) are values at 16 nodes, "nodes" (pairs, steps) at all nodes, two per complex
+    number. To save memory, `fields` is emptied and `memory` overwritten."""
     out, memory, names = {}, memory or {}, requested.names
     if {"nl", "rise"} & {*names}:
         fields |= advected(fields, welch)
@@ -90,7 +90,7 @@ def transforms(
 def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Array]:
     """Return arrays of zeros, by name, to which `add_segment` adds sums over segments.
     "<name>" and "a*b" are (2, rings, n / 2 + 1): power and squared power, or real and imaginary part.
-    "squares a*b" is (rings, n / 2 + 1), and "map ..." (cells, n); `half` (cells, n / 2) is a transform."""
+    "squares a*b" is (rings, n / 2 + 1), "map ..." (cells, n), for `half` (cells, n / 2)."""
     cells, steps = half.shape
     names = (*requested.names, *(f"{a}*{b}" for a, b in requested.pairs))
     sums = {name: np.zeros((2, table.k.size, steps + 1)) for name in names}
@@ -107,8 +107,8 @@ def add_segment(
     second: dict[str, Array],
     begin: int,
 ) -> None:
-    """Add the powers and cross products of one segment, and its Fourier lines at 16 nodes, to `sums`.
-    `first` and `second` are the results of `transforms` for its halves, and `begin` is its first step."""
+    """Add the powers and cross products of one segment, and its Fourier transforms at 16 nodes, to `sums`.
+    `first` and `second` are `transforms` of the halves of the segment, and `begin` is its first step."""
     if not sums:
         sums |= empty_sums(first[requested.names[0]], requested, welch.table)
     table, dt, names = welch.table, welch.record.dt, requested.names
@@ -141,7 +141,8 @@ def add_segment(
 
 
 def _powers_of_nodes(first: Array, second: Array) -> Array:
-    """Return the power of a segment, omega >= 0, (n // 2 + 1,), from its halves "nodes" (pairs, steps)."""
+    """Return the power of a segment summed over nodes, (n // 2 + 1,), from its halves (pairs, steps) of node
+    values."""
     half = first.shape[1]
     transform, sums = TimeTransform(half, first.dtype), np.zeros((CELLS, 2 * half))
     for slab in slabs(first.shape[0]):
@@ -152,17 +153,16 @@ def _powers_of_nodes(first: Array, second: Array) -> Array:
 
 
 def _quadrature(b: Array) -> tuple[Array, Array]:
-    """Return the factors (n,) of Re S and Im S in Re(i exp(i b) S), for b = omega dt / 2.
-    At positive frequencies, S of numpy's transforms is the conjugate of that of exp(i (k . x - omega t))."""
+    """Return factors (n,) of Re S and Im S in Re(i exp(i b) S), for b = omega dt / 2 at signed frequencies.
+    S is a cross spectrum of numpy's transforms, the conjugate of that of waves exp(i (k . x - omega t))."""
     imaginary = np.where(b < 0, -1.0, 1.0) * np.cos(b)
     imaginary[[0, b.size // 2]] = 0.0
     return -np.sin(np.abs(b)), imaginary
 
 
 def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
-    """Return the factor that converts the transform of z at mid-step to z at the first frame of each step.
-    It shifts the time by dt / 2. A measurement interpolates z from six frames that move with the mean flow
-    (`frames` above 2); this is corrected, too."""
+    """Return the factor that shifts the transform of z from mid-step to the first frame of each step, by dt /
+    2. If `frames` exceeds 2, it also corrects the damping of z by interpolation between six frames."""
     start = np.exp(-0.5j * omega * dt)
     if frames <= 2:  # fields of another program
         return np.asarray(start)
@@ -174,7 +174,6 @@ def to_frame_time(k: Array, omega: Array, dt: float, frames: int) -> Array:
 def _transform_blocks(
     requested: Requested, welch: Welch, blocks: list[Array], link: Link, memory: dict[str, Array]
 ) -> dict[str, Array]:
-    """Return `transforms` of half a segment from its `blocks`, which are in the order of `sources`."""
     fields = dict(zip(sources(requested.names), blocks))
     blocks.clear()  # so that `transforms` can release them
     return transforms(fields, requested, welch, memory)

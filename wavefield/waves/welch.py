@@ -29,7 +29,8 @@ def hann(n: int) -> np.ndarray:
 
 
 def hann_power(distance: np.ndarray) -> np.ndarray:
-    """Return the power of a wave in the line that is `distance` lines from its frequency, 1 at distance 0."""
+    """Return the relative power of a sine wave in a Hann-windowed spectrum, `distance` frequency steps
+    away."""
     off = np.where(np.abs(np.abs(distance) - 1) < 1e-9, 0.0, 1 - distance**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         amplitude = np.where(off == 0, 0.5, np.sinc(distance) / off)
@@ -43,7 +44,7 @@ def segment_count(steps: int, segment: int) -> int:
 
 
 def choose_segment(steps: int) -> int:
-    """Return the default length of a segment for a run of `steps` steps: a quarter, from 64 to 512.
+    """Return the default number of steps in a segment: a quarter of `steps`, from 64 to 512.
     It is rounded down to an even number whose Fourier transform is fast."""
     longest = min(DEFAULT_SEGMENT, max(steps // 4, min(64, steps)))
     even = longest - longest % 2
@@ -53,17 +54,20 @@ def choose_segment(steps: int) -> int:
 
 
 def overlap_factor(segments: float) -> float:
-    """Return the variance of a mean over half-overlapping Hann segments, relative to independent ones."""
+    """Return the variance of a mean over half-overlapping Hann-windowed segments over that for independent
+    ones."""
     return 1 + 2 * (1 - 1 / segments) / 36
 
 
 def degrees_of_freedom(segments: float) -> float:
-    """Return the degrees of freedom of one cell of a spectrum over half-overlapping Hann segments."""
+    """Return the degrees of freedom of one spectral value, averaged over half-overlapping Hann-windowed
+    segments."""
     return 2 * segments / overlap_factor(segments)
 
 
 def interval(dof: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the low and high limit of a 95 % interval, as factors of the spectrum, shaped like `dof`."""
+    """Return the lower and upper limit of the 95 % interval, as factors of the spectrum, shaped like
+    `dof`."""
     dof = np.asarray(dof, float)
     unique, index = np.unique(dof, return_inverse=True)  # many cells have the same number
     quantiles = 1 - CHANCE / 2, CHANCE / 2  # of chi-squared
@@ -78,9 +82,9 @@ def richardson_lucy(
     corrected: Callable[[np.ndarray, np.ndarray], np.ndarray],
     rounds: int,
 ) -> np.ndarray:
-    """Deconvolve a spectrum: return a non-negative one that the window turns into `measured`.
-    The iteration starts from `estimate`. ``through_window(estimate)`` applies the window;
-    ``corrected(estimate, ratio)`` multiplies by the ratio, averaged over the window (Richardson 1972)."""
+    """Return a non-negative spectrum that, blurred by a window, is close to `measured` (Richardson 1972).
+    ``through_window(estimate)`` blurs a spectrum; ``corrected(estimate, ratio)`` multiplies it by the blurred
+    ratio of measured to blurred spectrum. `estimate` is the first guess."""
     for _ in range(rounds):
         estimate = corrected(estimate, measured / through_window(estimate))
     return estimate
@@ -95,7 +99,7 @@ Sums = dict[str, np.ndarray]  # transforms of half a segment, or sums over segme
 
 def segment_length(record: Record, segment: int | None) -> int:
     """Return the number of steps in a segment, by default that of `choose_segment` for the longest run.
-    CubeError if it is odd, below 8 or above that of the longest run."""
+    Raises CubeError if it is odd, below 8 or longer than the longest run."""
     longest = record.longest
     if segment is None:
         segment = choose_segment(longest)
@@ -117,8 +121,8 @@ def _values(part: object) -> np.ndarray:
 def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
-    """Return the slices (time, y, x) to read for steps a to b - 1 of a run and around them, to fill gaps.
-    Also return a mask of missing steps in what is read, and the slice of the steps a to b - 1 in it."""
+    """Return slices (time, y, x) to read for steps a to b - 1 of a run, with a margin for filling gaps.
+    Also return a mask of missing steps among those read, and the slice of steps a to b - 1 in them."""
     bridged = np.asarray(record.bridged, int)
     reach = FILL_MARGIN if record.holes or bridged.size else 0
     lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
@@ -127,7 +131,8 @@ def _span(
 
 
 class Link(NamedTuple):
-    """Half a segment: the steps ``start`` to ``stop`` of a run. ``new`` if no earlier chain contains it."""
+    """Half a segment: the steps ``start`` to ``stop`` of a run; ``new`` unless an earlier group contains
+    it."""
 
     start: int
     stop: int
@@ -136,15 +141,15 @@ class Link(NamedTuple):
 
 
 class Reader:
-    """Reads steps of the fields of a record, in its rectangle of nodes, and fills their gaps."""
+    """Reads time steps of fields in the rectangle of nodes of a record, and fills gaps."""
 
     def __init__(self, arrays: Sequence[xr.DataArray], record: Record, first: int = 0) -> None:
         self.arrays, self.record = list(arrays), record
         self.first = first  # step of the record at which the arrays begin
 
     def __call__(self, a: int, b: int, run: tuple[int, int]) -> list[np.ndarray]:
-        """Return the steps a to b - 1 of the cube: one block (b - a, ny, nx) per field, with gaps filled.
-        `run` (first, past the last) is the run that contains them; only its steps are used to fill gaps."""
+        """Return steps a to b - 1 of the cube: one block (b - a, ny, nx) per field, with gaps filled.
+        `run` (first, last + 1) is the run that contains them; only its steps are used to fill gaps."""
         (steps, *nodes), missing, inner = _span(self.record, a, b, run)
         gaps = self.record.holes or self.record.bridged
         steps = slice(steps.start - self.first, steps.stop - self.first)
@@ -159,13 +164,13 @@ class Reader:
         return blocks
 
     def blocks(self, run: tuple[int, int]) -> Iterator[list[np.ndarray]]:
-        """Yield the blocks of all steps of a run, `STEPS_PER_READ` steps at a time."""
+        """Yield blocks (steps, ny, nx) of all fields, at most 256 steps at a time, until the end of a run."""
         for a in range(run[0], run[1], STEPS_PER_READ):
             yield self(a, min(a + STEPS_PER_READ, run[1]), run)
 
 
 def cut_chains(record: Record, segment: int) -> list[list[Link]]:
-    """Return the half segments of a record, in one list per chain of up to `CHAIN_LENGTH` segments."""
+    """Return the half segments of a record, in lists (chains) of up to four consecutive segments."""
     half = segment // 2
     out = []
     for run in record.runs:
@@ -183,9 +188,9 @@ def sum_chain(
     accumulate: Callable[[Sums, Sums, Sums, int], None],
     links: Sequence[Link],
 ) -> Sums:
-    """Read a chain half segment by half segment, and return the sums over its segments, by name.
-    ``transform(blocks, link, memory)`` may overwrite the arrays in ``memory``; ``accumulate(sums, first,
-    second, begin)`` adds the segment with two transformed halves that begins at step ``begin``."""
+    """Return the sums over consecutive segments, by name, reading and transforming each half segment once.
+    ``transform(blocks, link, memory)`` may overwrite arrays in ``memory``; ``accumulate(sums, first, second,
+    begin)`` adds the segment with these two transformed halves and first step ``begin`` to ``sums``."""
     sums: Sums = {}
     previous: Sums = {}
     oldest: Sums = {}
@@ -200,8 +205,7 @@ def sum_chain(
 def sum_segments(
     arrays: Sequence[xr.DataArray], record: Record, segment: int, transform: Any, accumulate: Any
 ) -> Any:
-    """Return the sums of `sum_chain` over all segments of a record, as a Dask delayed object.
-    Stored fields are read half a segment at a time, and Dask arrays up to four segments at a time."""
+    """Return the sums of `sum_chain` over all segments of a record, as a Dask delayed object."""
 
     def work(transform: Any, parts: Sequence[xr.DataArray], first: int, links: Sequence[Link]) -> Sums:
         return sum_chain(Reader(parts, record, first=first), transform, accumulate, links)
@@ -238,8 +242,8 @@ def some_nodes(block: np.ndarray) -> np.ndarray:
 
 
 def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
-    """Return the Hann-windowed spatial transform (cells, steps) of a block (steps, ny, nx).
-    The cells are those of ky x (kx >= 0), flattened. `out`, a former result, is overwritten."""
+    """Return the Hann-windowed Fourier transform in y and x, (cells, steps), of a block (steps, ny, nx).
+    Cells are the wave vectors with kx >= 0, flattened. `out`, a former result, is overwritten."""
     steps, ny, nx = block.shape
     window = spatial_window(ny, nx).astype(block.dtype)
     shape = steps, ny, nx // 2 + 1
@@ -255,14 +259,14 @@ def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def slabs(cells: int) -> Iterator[slice]:
-    """Yield slices of at most `CELLS` cells, whose segments fit the cache of the processor."""
+    """Yield slices that divide `cells` cells into parts of at most 128, whose time series fit the cache."""
     for a in range(0, cells, CELLS):
         yield slice(a, min(a + CELLS, cells))
 
 
 class TimeTransform:
-    """Transforms segments in time, for up to 128 cells at once, in arrays that are allocated once.
-    `half` is the number of steps in half a segment, and `names` the number of results to hold at a time."""
+    """Fourier transform of segments in time, for up to 128 cells at once, in arrays that are allocated once.
+    `half` is the number of steps in half a segment, and `names` the number of results held at a time."""
 
     def __init__(self, half: int, dtype: np.dtype, names: int = 1) -> None:
         dtype = np.dtype(dtype)
@@ -272,8 +276,8 @@ class TimeTransform:
         self.halves = np.empty((2, half * CELLS), dtype)
 
     def __call__(self, first: np.ndarray, second: np.ndarray, name: int = 0) -> np.ndarray:
-        """Return the Hann-windowed transform (cells, n) of a segment, without its mean and trend.
-        Its halves are (cells, n / 2). The next call with the same `name`, an index, overwrites the result."""
+        """Return the detrended, Hann-windowed transform (cells, n) of a segment from its halves (cells, n /
+        2). The next call with the same index `name` overwrites the result."""
         cells = first.shape[0]
         halves = [part[: self.half * cells].reshape(self.half, cells) for part in self.halves]
         for part, given in zip(halves, (first, second)):
@@ -320,7 +324,8 @@ class Welch:
     def of(
         cls, fields: xr.DataArray | xr.Dataset, segment: int | None = None, record: Record | None = None
     ) -> "Welch":
-        """Return the estimator for fields over (time, y, x), whose record and segment it finds by default."""
+        """Return the estimator for fields over (time, y, x); by default it finds record and segment length
+        itself."""
         record = find_record(fields) if record is None else record
         length = segment_length(record, segment)
         return cls(record, length, frames_of(fields), depth=water_of(fields.attrs)[0])
@@ -342,37 +347,40 @@ class Welch:
 
     @cached_property
     def table(self) -> rings.Rings:
-        """Rings of |k|, and the area fractions of the cells of the k plane of the rectangle in them."""
+        """Rings of |k|, and the area fraction of each cell (ky, kx) in each ring."""
         record = self.record
         return rings.rings(*record.shape, record.dy, record.dx)
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of a single cell (omega, ky, kx) of a spectrum."""
+        """Degrees of freedom of a single value of E(omega, ky, kx)."""
         return degrees_of_freedom(self.count)
 
     @property
     def duration(self) -> float:
-        """Effective duration of the record, s: (int w)^2 / int w^2 of the sum w of squared windows."""
+        """Effective duration of the record, s: (int w)^2 / int w^2, where w is the sum of all squared
+        windows."""
         return self.segment * self.record.dt * 18 * self.count**2 / (38 * self.count - 3)
 
     @property
     def density(self) -> float:
-        """Factor from |F|^2, summed over segments, to a two-sided spectrum per (rad/m)^2 and rad/s."""
+        """Factor from |F|^2 of Fourier transforms F, summed over segments, to a density per (rad/m)^2 and
+        rad/s."""
         record = self.record
         energy = float(np.prod([(hann(n) ** 2).sum() for n in (self.segment, *record.shape)]))
         return record.dt * record.dy * record.dx / ((2 * np.pi) ** 3 * energy * self.count)
 
     @property
     def node_density(self) -> float:
-        """Factor from the one-sided power of all nodes, summed over segments and nodes, to E(omega)."""
+        """Factor from the power at omega >= 0, summed over segments and nodes, to E(omega)."""
         ny, nx = self.record.shape
         window = float((hann(self.segment) ** 2).sum()) * self.count
         return self.record.dt / (2 * np.pi * window * (ny * nx // 2 * 2))
 
     @property
     def ring_density(self) -> float:
-        """Factor from |F|^2, summed over segments and the cells of a ring, to E(k, omega)."""
+        """Factor from |F|^2 of Fourier transforms F, summed over segments and the cells of a ring, to E(k,
+        omega)."""
         ny, nx = self.record.shape
         cell = (2 * np.pi) ** 2 / (ny * self.record.dy * nx * self.record.dx)
         return self.density * cell / self.table.dk
@@ -386,24 +394,23 @@ class Welch:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Mask (omega, k), False in the main lobe of the mean, at Nyquist and in rings beyond Nyquist."""
+        """Mask (omega, k), false where E is affected by the removed mean or is at or beyond a Nyquist
+        limit."""
         nyquist = np.pi / max(self.record.dy, self.record.dx)
         table = self.table
         in_k = (table.k > MAIN_LOBE * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
         return inner(self.omega.size)[:, None] & in_k
 
     def over_filled(self, energy: Any, added: float) -> Any:
-        """Return a mask (omega, k), True where E(k, omega) exceeds four times the error of filled nodes.
-        `added` is what this error, white in the k plane, adds to E(omega)."""
+        """Return a mask (omega, k): true where E(k, omega) exceeds four times the error due to interpolated
+        nodes. `added` is the power that this error, white in the k plane, adds to E(omega)."""
         plane = 2 * np.pi * self.table.k * self.table.coverage
         white = added * plane * self.record.dy * self.record.dx / (2 * np.pi) ** 2
         return energy > MIN_OVER_FILLED * white
 
     def freedom(self, sums: Array) -> Array:
         """Return the degrees of freedom (rings, lines) of E(k, omega), from `sums` of `kernels.ring_powers`.
-        They are nu (sum A_c E_c)^2 / sum A_c E_c^2 (rho^2 A)_c over the cells c of a ring, with the degrees
-        of freedom nu of a cell, area fractions A, energies E and squared correlations rho^2; E_c^2 is
-        <|F_c|^4> / 2."""
+        They follow from the scatter of energy in a ring and the correlation of its cells by Hann windows."""
         power, square = sums[0], sums[1]
         filled = power > 0
         spread = np.divide(self.count * square, power**2, out=np.zeros_like(power), where=filled)
@@ -417,7 +424,8 @@ class Welch:
 
     @property
     def ring_variables(self) -> Mapping[str, tuple[str, Array]]:
-        """Variables over k of every E(k, omega): ``coverage`` and ``cells`` of each ring."""
+        """``coverage`` (fraction of a ring inside the k plane) and ``cells`` (independent cells in it), over
+        k."""
         return {"coverage": ("k", self.table.coverage), "cells": ("k", self.table.cells)}
 
     @property
@@ -440,7 +448,7 @@ class Welch:
 
 
 def with_stated(given: Any) -> Any:
-    """Return a field or cube with `path_frames` and water properties as coordinates, not attributes."""
+    """Return a field or cube with `path_frames` and water properties as coordinates instead of attributes."""
     if not isinstance(given, xr.DataArray | xr.Dataset):
         return given
     out = given.copy(deep=False)
@@ -456,8 +464,8 @@ def with_stated(given: Any) -> Any:
 
 
 def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
-    """Return the code `path_frames` of velocities: 1 instantaneous, 2 (the default) displacements between two
-    frames; 4, 6 or 7 paths of 4 or 6 frames. CubeError if attributes ``velocity`` differ or are unknown."""
+    """Return the code `path_frames`: 1 for instantaneous velocities, 2 (default) for displacements between
+    two frames, 4 to 7 for paths of 4 or 6 frames. CubeError if attributes ``velocity`` are inconsistent."""
     fields = with_stated(fields)
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
@@ -467,8 +475,8 @@ def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
 
 
 def frames_of_meaning(*stated: str) -> int:
-    """Return `path_frames` for "displacement" (2) or "instantaneous" (1), given as the only argument.
-    CubeError for other words and for several arguments."""
+    """Return the code `path_frames` for "displacement" (2) or "instantaneous" (1).
+    Raises CubeError for other words and for more than one argument."""
     if len(stated) > 1 or stated[0] not in MEANINGS:
         raise CubeError(
             f"the velocities are stated to be {' and '.join(stated)}: state one of {', '.join(MEANINGS)}"
@@ -477,13 +485,12 @@ def frames_of_meaning(*stated: str) -> int:
 
 
 def states_velocity(cube: xr.Dataset) -> bool:
-    """Return whether a cube tells if its velocities are displacements or instantaneous.
-    It does by `path_frames`, by the attribute ``velocity``, or because this package measured it."""
+    """Return True if a cube tells whether its velocities are displacements or instantaneous."""
     of = [cube, *(cube[name] for name in ("u", "v", "w"))]
     return "path_frames" in cube.coords or any({VELOCITY, "recipe"} & {*one.attrs} for one in of)
 
 
 def inner(lines: int) -> NDArray[np.bool_]:
-    """Return a mask (lines,) of E(omega): true above the main lobe of the mean and below Nyquist."""
+    """Return a mask (lines,) of frequencies that are below Nyquist and unaffected by removal of the mean."""
     index = np.arange(lines)
     return (index >= MAIN_LOBE) & (index < lines - 1)
