@@ -25,11 +25,9 @@ class WavesAccessor:
 
     Notes
     -----
-    Each method calls the function of `wavefield.waves` with the same name. `fit_dispersion`, `directions`,
-    `kinematics`, `coherence`, `statistics`, `crest_statistics`, `phase_average` and `analyze` pass the cube
-    to the function, and then all arguments of the method. `spectrum`, `komega` and `structure_functions` pass
-    one field of the cube: its name is their first argument, by default "w" for the first two and "z" for the
-    third. All other arguments are keywords.
+    Each method calls the function of `wavefield.waves` with the same name, on the cube. `spectrum`, `komega`
+    and `structure_functions` work on one field of the cube instead. Its name is their first argument, by
+    default "w" for the first two and "z" for the third; all their other arguments are keywords.
 
     Examples
     --------

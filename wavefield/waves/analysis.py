@@ -48,7 +48,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass
 class Sums:
-    """Sums over the Welch segments of a cube, or of a part of it, from which wave products are computed."""
+    """Sums over all or some of the Welch segments of a cube, from which wave products are computed."""
 
     ring_sums: dict[str, Array] = field(default_factory=dict)  # powers and cross products
     survey_sums: dict[str, Array] = field(default_factory=dict)  # sums of powers and histograms
@@ -152,31 +152,21 @@ def analyze(
         Called with the number of parts done and the number of all parts.
     each : callable, optional
         ``each(work, items)`` yields ``work(item)`` for every item, in order; by default in two threads.
-    probes : Dataset, optional
-        Wave probes, from `wavefield.read_probes`. Without them, there are no spectra of probes.
-    segment : int, optional
-        Steps of a Welch segment, even; by default about a quarter of the longest run of steps, 64 to 512.
-    depth : float, optional
-        Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep water.
-    gain : path, Dataset or False, optional
-        Amplitude gains ``gain_z``, ``gain_w`` (direction, k), or the path of a store with them; by default
-        those in the cube. Spectra are corrected where the gain exceeds 0.5. False: no correction.
-    current : tuple of float, optional
-        Velocity of the water along x and y, m/s, if no fit to the dispersion relation succeeds; default 0.
+    probes, segment, depth, gain, current : optional
+        As in `wavefield.analyze`: wave probes, steps of a Welch segment, water depth (m), amplitude gains of
+        the measurement, and velocity of the water along x and y (m/s) if it cannot be fitted.
 
     Returns
     -------
     DataTree
-        One group per kind of product, such as ``spectra`` and ``coherence``. The documentation's page on
-        waves lists the variables of each group, with units and dimensions.
+        One group per kind of product, such as ``spectra`` and ``coherence``.
 
     Raises
     ------
     CubeError
-        If the cube lacks a variable, is shorter than a segment, has unequal steps or no rectangle of measured
-        nodes, or if the probes were not recording at the time.
+        If the cube lacks a variable, is too short or too small, or if the probes were not recording.
     StoreError
-        If the gain cannot be read or lacks ``gain_z`` or ``gain_w``.
+        If the gain cannot be read.
 
     Examples
     --------
@@ -278,8 +268,7 @@ FEW_SEGMENTS = 7  # the default segment is a quarter of the record and gives sev
 
 
 def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
-    """Return sentences that tell the user which part of the cube was used, and which gaps were
-    interpolated."""
+    """Return sentences for the user on the part of a cube that was analysed and on interpolated gaps."""
     record, count, sizes = welch.record, welch.count, cube.sizes
     used = record.steps_in_runs(welch.segment)
     out = []
@@ -310,8 +299,7 @@ def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
 
 
 def _note_on_holes(record: Record, z: xr.DataArray) -> str:
-    """Return a sentence with the number of interpolated nodes, the error of z there and its effect on
-    E(omega)."""
+    """Return a sentence on interpolated nodes: their number, error of z and effect on E(omega)."""
     share = record.holes / (record.steps_in_runs() * record.shape[0] * record.shape[1])
     text = f"{record.holes} missing nodes ({100 * share:.2g} %) were filled from their neighbours"
     error = filled_error(record, z)

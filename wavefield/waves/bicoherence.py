@@ -16,8 +16,7 @@ from wavefield.waves.cross import significance_level
 from wavefield.waves.products import Noted, WaveProduct, register
 from wavefield.waves.welch import CHANCE, LEAST_COUNT, MAIN_LOBE, Welch, hann, segment_count
 
-# chosen: pairs of lines that are correlated by more than this fraction of the correlation by chance are left
-# out, because leakage correlates them without coupling
+# chosen: frequencies correlated by more than this fraction of the correlation by chance share leakage
 SHARED = 0.1
 
 
@@ -49,8 +48,7 @@ def bicoherence_of(z: np.ndarray) -> np.ndarray:
 
 
 def correlations_of(z: np.ndarray) -> np.ndarray:
-    """Return the squared correlation between frequencies, (n, n), of Fourier coefficients `z` (n,
-    samples)."""
+    """Return the squared correlation (n, n) between frequencies of Fourier coefficients `z` (n, samples)."""
     gram = np.abs(z @ z.conj().T) ** 2
     power = np.maximum(gram.diagonal(), 1e-300)
     return np.asarray(gram / np.sqrt(power[:, None] * power))
@@ -100,8 +98,8 @@ SAMPLES = 4000  # largest number of segments times points, for the cost; further
 
 
 def _level_of_one(surrogates: list[np.ndarray]) -> np.ndarray:
-    """Return the bicoherence (n, n) that uncoupled waves exceed in 5 % of cases.
-    `surrogates` holds the bicoherence (n, n) of several data sets with random phases."""
+    """Return the bicoherence of each pair of frequencies, (n, n), that uncoupled waves exceed in 5 % of
+    cases. `surrogates` holds the bicoherence (n, n) of several data sets with random phases."""
     mean = np.mean(np.square(surrogates), axis=0)
     return np.asarray(np.sqrt(significance_level(1 / np.clip(mean, 1e-12, 1 - 1e-9))))
 
@@ -117,9 +115,9 @@ def _level_of_largest(surrogates: list[np.ndarray]) -> np.ndarray:
 
 
 def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
-    """Return bicoherence and tricoherence over (omega1, omega2), rad/s, with the levels exceeded by chance in
-    5 %. `series` is (time, points) with time step `dt`, s. `segment`, in steps, is shortened to have at most
-    48 frequencies. CubeError if only one segment fits."""
+    """Return bicoherence and tricoherence over (omega1, omega2), rad/s, and levels exceeded by chance in 5 %.
+    `series` is (time, points) with time step `dt`, s. `segment`, in steps, is shortened to have at most 48
+    frequencies. CubeError if only one segment fits."""
     count = min(segment // 2 + 1, int(HIGHEST_HZ * segment * dt) + 1)
     if count > LINES:
         segment = max(int(segment * LINES / count) // 2 * 2, 16)

@@ -40,8 +40,7 @@ def extremes(series: Array) -> tuple[Array, Array, Array]:
 
 
 def distant_nodes(block: Array, record: Record) -> Array:
-    """Return the values (steps, nodes) of a field `block` (steps, ny, nx) at every node about 8 cm from the
-    next."""
+    """Return the values (steps, nodes) of `block` (steps, ny, nx) at nodes about 8 cm apart."""
     apart_y, apart_x = (max(1, round(POINT_DISTANCE / step)) for step in (record.dy, record.dx))
     return block[:, ::apart_y, ::apart_x].reshape(len(block), -1)
 
@@ -55,9 +54,8 @@ def _series(field: xr.DataArray, record: Record) -> list[Array]:
 
 
 def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array, Array]:
-    """Return sums of z^0 to z^4 (blocks, 5), and numbers of crests and of troughs above each level (blocks,
-    levels). Levels are `LEVELS` times `sigma`, m. Each of `runs`, z (time, points), is cut into blocks of
-    `block` steps."""
+    """Return sums of z^0 to z^4 (blocks, 5), and counts (blocks, levels) of crests and troughs above levels.
+    Levels are `LEVELS` times `sigma`, m. Each of `runs`, z (time, points), is cut into blocks of steps."""
     sums, above = [], []
     for run in runs:
         count = run.shape[0] // block
@@ -108,22 +106,19 @@ def crest_statistics(cube: xr.Dataset) -> xr.Dataset:
     Dataset
         ``significant_height`` (m), ``skewness`` (1), ``kurtosis`` (excess, 1) and their standard
         uncertainties ``_std``; ``mean_period`` (s) between zero up-crossings; ``waves``, the number of waves
-        at all points. Over ``level``, which is 0 to 5 standard deviations of z: ``crest_exceedance`` and
-        ``trough_exceedance``, the fractions of crests and troughs that reach the level, with their
-        standard uncertainties ``_std``; ``rayleigh`` and ``tayfun``, the fractions that these distributions
-        predict. Attribute ``blocks``, the number of blocks in the bootstrap.
+        at all points. Over ``level``, 0 to 5 standard deviations of z: ``crest_exceedance`` and
+        ``trough_exceedance``, the fractions of crests and troughs that reach the level, and their ``_std``;
+        ``rayleigh`` and ``tayfun``, the fractions that these distributions predict.
 
     Raises
     ------
     CubeError
-        If the cube has no z, fewer than 8 x 8 nodes are measured, or the record contains fewer than eight
-        blocks of ten mean periods.
+        If the cube has no z, or fewer than 8 x 8 nodes or 80 mean periods are measured.
 
     Notes
     -----
-    Elevations are taken at nodes about 8 cm apart and refer to the mean in time of each node. The
-    uncertainties are from a bootstrap over blocks of ten mean periods that contain all points. Tayfun: J.
-    Geophys. Res. 85 (1980) 1548.
+    Elevations are taken at nodes about 8 cm apart and refer to the mean in time of each node. Uncertainties
+    are from a bootstrap over blocks of ten mean periods. Tayfun: J. Geophys. Res. 85 (1980) 1548.
 
     Examples
     --------

@@ -69,8 +69,7 @@ def label(
 
 
 def checked_fields(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return the variables needed to compute the quantities `names`, in m and m/s; CubeError if one is
-    missing."""
+    """Return the fields, in m and m/s, that the quantities `names` need; CubeError if one is missing."""
     fields = sources(names)
     for field in fields:
         if field not in cube:
@@ -89,8 +88,7 @@ def cross_spectra(
 ) -> xr.Dataset:
     """Return power spectra E (quantity, omega, k) of `names` and cross spectra S (pair, omega, k) of `pairs`.
     Quantities are z, z_t, u, v, w, nl = (u - U) . grad z and rise = z_t + U . grad z, with the mean velocity
-    U. S = <conj(a) b> for a pair "a*b". ``dof`` and ``samples`` count degrees of freedom of E and samples of
-    S."""
+    U. S of "a*b" is <conj(a) b>. ``dof`` is for E; ``samples`` are the independent samples of S."""
     cube = checked_fields(cube, names)
     welch = Welch.of(cube, segment, record)
     # the current decides how long waves stay in the window, and so the degrees of freedom
@@ -124,8 +122,7 @@ def _spectra(
     filled: Mapping[str, float],
 ) -> xr.Dataset:
     """Return the spectra that `analyze` writes: E(k, omega), E(k) and E(omega), with 95 % intervals.
-    `ring` is from `label`. ``valid`` is true where E exceeds four times `filled`, the power of interpolation
-    errors."""
+    They are valid where E exceeds four times `filled`, the power that interpolated nodes add."""
     valid = ring["valid"]
     for name, added in filled.items():
         if added:
@@ -155,8 +152,8 @@ TERMS = {"w": "rise*w", "nl": "rise*nl", "tot": "rise*w"}
 
 
 def significance_level(samples: Any) -> Any:
-    """Return the squared coherence that unrelated signals exceed in 5 % of cases, for `samples` independent
-    samples."""
+    """Return the squared coherence that unrelated signals exceed in 5 % of cases.
+    `samples` is their number of independent samples, a number or an array."""
     more = np.maximum(samples - 1, 1e-9)
     return 1 - CHANCE ** (1 / more)
 
@@ -210,9 +207,8 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None) -> xr.Dataset:
         All variables are dimensionless. Over (term, k), for the terms w, nl (-u . grad z) and tot (their
         sum): the complex coherence ``C``, with the same norm for all terms; the squared coherence ``gamma2``;
         the number of independent ``samples``; and ``level``, the gamma2 that unrelated signals exceed in 5 %
-        of cases. ``C_komega``, ``gamma2_komega``, ``samples_komega`` and ``level_komega`` are the same over
-        (term, omega, k). ``valid`` (k) is true where the energies of z_t and w are more than three times
-        their noise; elsewhere a coherence may be due to noise, because z_t and w have some noise in common.
+        of cases. The same with ``_komega`` after the name are over (term, omega, k). ``valid`` (k) is true
+        where z_t and w exceed three times their noise; elsewhere, common noise may cause coherence.
 
     Raises
     ------
@@ -222,11 +218,10 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None) -> xr.Dataset:
     Notes
     -----
     All terms refer to a frame that moves with U, the mean of u, v over the record: z_t stands for z_t + U .
-    grad z, and u for u - U.
-
-    C = <conj(z_t) a> / sqrt(<|z_t|^2> <|w - u . grad z|^2>) for a term a, with <> the mean over segments and
-    directions and, for C(k), the sum over omega >= 0. C of w and of nl add up to that of tot, and |C| of w
-    may exceed 1. gamma2 has each term's own norm; its mean is 1 / samples for unrelated signals.
+    grad z, and u for u - U. C = <conj(z_t) a> / sqrt(<|z_t|^2> <|w - u . grad z|^2>) for a term a, with <>
+    the mean over segments and directions and, for C(k), the sum over omega >= 0. C of w and of nl add up to
+    that of tot, and |C| of w may exceed 1. gamma2 has each term's own norm; its mean is 1 / samples for
+    unrelated signals.
 
     Examples
     --------
@@ -268,9 +263,8 @@ def plane_coherence(cube: xr.Dataset) -> xr.Dataset:
     Notes
     -----
     |<conj(z_t) a>| / sqrt(<|z_t|^2> <|w - u . grad z|^2>) for a term a, with the covariance <> over time of
-    spatial transforms, as in Aubourg et al., Exp. Fluids (2019). As in `coherence`, the frame moves with the
-    mean of u, v. N independent samples of unrelated signals give about 0.9 / sqrt(N). `coherence` averages
-    over directions before it takes the ratio, and does not have this bias.
+    spatial transforms (Aubourg et al., Exp. Fluids, 2019), in a frame that moves with the mean of u, v. N
+    independent samples of unrelated signals give about 0.9 / sqrt(N); `coherence` does not have this bias.
 
     Examples
     --------
@@ -321,8 +315,7 @@ def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
 
 
 def _plane_coherences(mean: dict[str, Array]) -> Array:
-    """Return the moduli of the coherence with z_t of w, -nl and w - nl, (3, cells), from means of
-    `_plane_sums`."""
+    """Return moduli (3, cells) of the coherence with z_t of w, -nl and w - nl, from mean `_plane_sums`."""
     power = mean["power"] - np.abs(mean["z_t"]) ** 2
     total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))

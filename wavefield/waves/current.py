@@ -61,8 +61,7 @@ FITTED, GIVEN, NO_CURRENT = "fit", "given", "none"
 
 @dataclass(frozen=True)
 class CurrentUsed:
-    """Velocity of the water that an estimate (such as a directional spectrum) used, and where it came
-    from."""
+    """Velocity of the water that an estimate, such as a directional spectrum, used, and its origin."""
 
     velocity: tuple[float, float]  # along x and y, m/s
     std: tuple[float, float]  # standard uncertainty, m/s; NaN where it was not estimated
@@ -71,15 +70,13 @@ class CurrentUsed:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes for a result: ``current``, ``current_std`` (m/s), ``current_source``, and why a fit
-        failed."""
+        """Attributes for a result: the current and its uncertainty, m/s, its source and why a fit failed."""
         out = {"current": list(self.velocity), "current_std": list(self.std), "current_source": self.source}
         return out | ({"current_fit_refused": self.reason} if self.reason else {})
 
 
 def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> CurrentUsed:
-    """Return the current fitted in `dispersion`, a result of `dispersion_group`; else `given`, m/s; else
-    zero."""
+    """Return the current fitted in `dispersion`, else the `given` one, m/s, else zero."""
     if "current_x" in dispersion:
         velocity, std = ([float(dispersion[f"current_{a}{end}"]) for a in "xy"] for end in ("", "_std"))
         return CurrentUsed((velocity[0], velocity[1]), (std[0], std[1]), FITTED)

@@ -40,9 +40,8 @@ RIDGE_CORRELATION = 1.6
 def packet_correlation(
     ky: Array, kx: Array, omega: Array, water: tuple[float, float], current: tuple[float, float], dof: float
 ) -> Array:
-    """Return the factor (ky, kx) by which slow waves raise the variance of a spectrum averaged over segments.
-    They stay in the field for several segments. `ky`, `kx`, `omega` are axes; `dof` belongs to one value of
-    E."""
+    """Return the factor (ky, kx) by which slow waves, correlated between segments, raise a spectrum's
+    variance. `ky`, `kx` (rad/m) and `omega` (rad/s) are its axes; each value has `dof` degrees of freedom."""
     k = np.maximum(np.hypot(ky[:, None], kx), 1e-9)
     speed = group_velocity(k, *water) / k
     velocity = speed * kx + current[0], speed * ky[:, None] + current[1]
@@ -86,8 +85,7 @@ def sector_freedom(levels: Array, covariances: Array) -> Array:
 
 def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[float, float]:
     """Return standard uncertainties of the first harmonic of D(theta), along and across its direction.
-    `levels` are energies at directions `theta`, rad, both (sectors,), with covariance matrix
-    `covariances`."""
+    `levels` (sectors,) are energies at directions `theta`, rad, with the matrix `covariances`."""
     total = max(levels.sum(), 1e-300)
     turned = np.exp(1j * theta)
     first = (levels * turned).sum() / total
@@ -146,9 +144,8 @@ class _RingSectors:
         self.place = (sector * self.cells + cell).ravel()[by_radius]  # in (sectors, cells)
 
     def shares(self, centre: float, half: float) -> tuple[Array, Array]:
-        """Return the fraction of each cell in each sector of a ring, (sectors, cells), and a coverage
-        (sectors,). The ring is `centre` +- `half`, rad/m. The coverage is the fraction of a sector inside the
-        k plane."""
+        """Return the area fraction of each cell in each sector of a ring, (sectors, cells), and a coverage.
+        The ring is `centre` +- `half`, rad/m. The coverage is the fraction of each sector in the k plane."""
         first = np.searchsorted(self.radius, centre - half, "right")
         ring = slice(first, np.searchsorted(self.radius, centre + half, "left"))
         parts = np.bincount(self.place[ring], minlength=self.count * self.cells)
@@ -170,11 +167,11 @@ def directions(
     Parameters
     ----------
     density : DataArray or Dataset
-        A cube: its spectrum of w is converted to that of the elevation. Or a spectrum E(omega, ky, kx), a
-        result of `spectrum`, or a field over (time, y, x): the spectrum of this quantity is used unchanged.
+        A cube, whose spectrum of w is converted to one of elevation. Or a spectrum E(omega, ky, kx), a result
+        of `spectrum`, or a field over (time, y, x), whose spectrum is used unchanged.
     frequency : sequence of float, optional
-        Middles of the frequency bands in the frame of the water, Hz. A band is 0.1 Hz wide, or as wide as a
-        line of the spectrum if that is more. By default all bands that segment and grid resolve.
+        Centres of the frequency bands in a frame that moves with the water, Hz. Bands are at least 0.1 Hz
+        wide. By default all bands that segment and grid resolve.
     depth : float, optional
         Depth of the water, m; by default that stored with the input, or deep water.
     current : tuple of float, optional
@@ -191,27 +188,23 @@ def directions(
         a cube in m2/Hz; ``direction`` and ``spread``, the mean direction and directional spread, rad, with
         standard uncertainties ``direction_std`` and ``spread_std``; ``r1`` and ``r2``, the moduli of the
         first two harmonics of D; ``isotropy``, 1 less the larger of r1 and r2. All of these but ``energy``
-        are NaN at frequencies that the grid does not resolve, or with waves below three times the noise;
-        uncertainties and ``dof`` are NaN for an E(omega, ky, kx) without degrees of freedom.
-        ``efth`` (freq, dir), the same spectrum in the convention of oceanography: per Hz and degree, with
-        ``dir`` the direction that waves come from, in degrees clockwise from the y axis. After ``import
-        wavespectra`` the result has the accessor ``.spec``.
+        are NaN where the grid does not resolve waves or waves are below three times the noise; uncertainties
+        and ``dof`` are NaN for an E(omega, ky, kx) without degrees of freedom. ``efth`` (freq, dir), the same
+        spectrum per Hz and degree as in oceanography (and in the package wavespectra): ``dir`` is the
+        direction that waves come from, in degrees clockwise from the y axis.
 
     Raises
     ------
     CubeError
-        If the input is none of these, a frequency exceeds the Nyquist frequency, the spectrum resolves none,
-        or the current is not given and `fit_dispersion` fails.
+        If the input is none of these, no frequency is resolved or one exceeds the Nyquist frequency, or the
+        current is not given and `fit_dispersion` fails.
 
     Notes
     -----
-    The spectrum is first shifted to the frame of the water, E(k, omega + k . U). Cells near the dispersion
-    relation are divided between sectors by area, and the energy of a sector by the fraction of it that the k
-    plane samples.
-
-    The spread is sqrt(2 (1 - r1)) less the resolution in quadrature: a Hann window of length L blurs k by (2
-    pi / L) / sqrt(3); cells and sectors blur it by their width over sqrt(12). D, the harmonics and ``efth``
-    are not corrected for this blur.
+    The spectrum is first shifted to the frame of the water, E(k, omega + k . U). Cells (ky, kx) near the
+    dispersion relation are divided between sectors by area. The spread is sqrt(2 (1 - r1)) less the
+    resolution in quadrature: a Hann window of length L blurs k by (2 pi / L) / sqrt(3); cells and sectors
+    blur it by their width over sqrt(12). D, the harmonics and ``efth`` are not corrected for this blur.
 
     Examples
     --------
@@ -239,8 +232,7 @@ def elevation_density(
     density: xr.DataArray, current: tuple[float, float], frames: int, water: tuple[float, float]
 ) -> xr.DataArray:
     """Return E(omega, ky, kx) of the elevation, by integration in time of w with the spectrum `density`.
-    `current` (m/s) Doppler-shifts the frequency; `frames` is the number of frames per velocity
-    (`path_frames`)."""
+    The frequency is that in water moving at `current`, m/s; `frames` is the code `path_frames` of w."""
     omega, ky, kx = np.meshgrid(
         *(density[name] for name in ("omega", "ky", "kx")), indexing="ij", sparse=True
     )
@@ -252,8 +244,7 @@ def elevation_density(
 
 
 def resolved_frequencies(density: xr.DataArray, depth: float, gamma: float) -> Array:
-    """Return the centres, Hz, of the frequency bands that are wide and long enough in wavelength to be
-    resolved."""
+    """Return the centres, Hz, of the frequency bands that segment length and grid resolve."""
     lines = density["omega"].values / (2 * np.pi)
     shortest = dispersion(SHORTEST_WAVES * _largest_k(density), depth, gamma) / (2 * np.pi)
     return np.arange(max(LOWEST_HZ, 3 * lines[1]), min(shortest, 0.9 * lines[-1]), max(STEP_HZ, lines[1]))

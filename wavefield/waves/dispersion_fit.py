@@ -40,9 +40,8 @@ BAND_WIDTH = 0.5  # Hz, chosen: width of the bands in which the points are compa
 
 
 def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Array], Array]:
-    """Return a function of the current (2,), m/s: model minus measured omega of `points`, over its
-    uncertainty. The uncertainty of k is converted to one of omega with the relation on the current
-    `around`."""
+    """Return a function of the current (2,), m/s: model minus measured omega of `points`, normalised.
+    It is divided by the uncertainty of k, converted to omega with the relation on the current `around`."""
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
     free, speed = dispersion(points.k, *water), group_velocity(points.k, *water)
     slope = speed + (around[0] * kx + around[1] * ky) / points.k
@@ -56,8 +55,7 @@ def _outlier_limit(misfit: Array) -> float:
 
 
 def solve(points: RelationPoints, water: Water, start: Array) -> Array:
-    """Return the current (2,), m/s, that best fits the dispersion relation to `points`; `start` is a first
-    guess."""
+    """Return the current (2,), m/s, fitted to points of the dispersion relation, from a guess `start`."""
     misfit = _misfit(points, water, start)
     result = least_squares(misfit, start, loss="soft_l1", f_scale=_outlier_limit(misfit(start)))
     return np.asarray(result.x)
@@ -79,8 +77,7 @@ def covariance_of(points: RelationPoints, water: Water, current: Array) -> Array
 
 
 def distance_from_relation(points: RelationPoints, water: Water, current: Array) -> Array:
-    """Return measured k minus k of the dispersion relation at the same omega, (points,), rad/m, to first
-    order."""
+    """Return measured k minus k of the dispersion relation at the same omega, (points,), rad/m."""
     along = points.along(current)
     speed = group_velocity(points.k, *water)
     model = dispersion(points.k, *water) + points.k * along
@@ -112,8 +109,7 @@ def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float
     ----------
     density : DataArray or Dataset
         Spectrum E(omega, ky, kx), best of w; or a result of `spectrum`; or a field over (time, y, x) or a
-        cube, whose spectrum (of w) is computed first. To restrict the fit to a band, give
-        ``E.sel(omega=slice(lowest, highest))``, in rad/s.
+        cube, whose spectrum (of w) is computed first. ``E.sel(omega=slice(low, high))`` restricts the band.
     depth : float, optional
         Depth of the water, m; by default that of the cube, or deep. It is not fitted.
     gamma : float, optional
@@ -131,18 +127,15 @@ def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float
     Raises
     ------
     CubeError
-        If the input is none of these, there are fewer than six points, they are not on the dispersion
-        relation of any current, the energy near the relation hardly exceeds that at other frequencies, or the
-        standard uncertainty of the current exceeds 12 mm/s.
+        If the input is none of these, there are fewer than six points, points or energy are not near the
+        dispersion relation of any current, or the current is uncertain by more than 12 mm/s.
 
     Notes
     -----
-    The relation is omega = sqrt((g k + gamma k^3) tanh k h) + k . U, with the depth h. The fit starts from
-    the current U whose relation contains most energy. Points are centroids in k of the energy above the
-    noise, at each frequency and in 24 sectors of direction, weighted by their inverse variance. Hann windows
-    displace the centroids; this displacement is simulated with free waves of the measured energy on the
-    fitted relation, and subtracted, until the current changes by less than 0.3 mm/s. The uncertainty is that
-    of least squares, and of leakage and surface tension.
+    The relation is omega = sqrt((g k + gamma k^3) tanh k h) + k . U, with the depth h. Points are centroids
+    in k of the energy above the noise, at each frequency and in 24 sectors of direction, weighted by their
+    inverse variance. Hann windows displace the centroids; this displacement is simulated and subtracted. The
+    uncertainty is that of least squares, and of leakage and surface tension.
 
     Examples
     --------
@@ -198,8 +191,7 @@ def _between(limits: tuple[float, float]) -> str:
 
 
 def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> RelationPoints:
-    """Return `points`, or raise CubeError if there are fewer than six. The message names the band `limits`,
-    rad/s."""
+    """Return `points`; CubeError with the band `limits`, rad/s, if there are fewer than six."""
     if len(points) < MIN_POINTS:
         raise CubeError(f"no dispersion relation was found {_between(limits)}: choose a longer segment")
     return points

@@ -29,8 +29,7 @@ LEAST_NOISE = 1e-4
 
 @dataclass(frozen=True)
 class PlaneSpectrum:
-    """A spectrum E(omega, ky, kx) and its noise, as arrays over lines (frequencies) and cells (wave
-    vectors)."""
+    """A spectrum E(omega, ky, kx) and its noise, over lines (frequencies) and cells (wave vectors)."""
 
     omega: Array  # (lines,), rad/s
     energy: Array  # (lines, cells)
@@ -88,8 +87,7 @@ def _mean_of_noise(values: Array) -> float:
 
 
 MAX_SPEED, SPEED_STEP = 0.8, 0.02  # m/s, chosen: largest current in flumes; error that the fit corrects
-# Sectors of direction, 15 degrees each. Narrower ones contain too few cells of a ring: an isotropic sea then
-# appears anisotropic by 2 %
+# sectors of 15 degrees; with narrower ones, an isotropic sea appears anisotropic by 2 %
 SECTORS = 24
 VOTING_SECTORS = 2 * SECTORS  # finer, because single cells vote
 
@@ -156,8 +154,7 @@ def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
 
 
 def fraction(spectrum: PlaneSpectrum, current: Array) -> float:
-    """Return the fraction of the total energy that is near the dispersion relation; NaN if there is no
-    energy."""
+    """Return the fraction of the energy that is near the dispersion relation; NaN without energy."""
     near = _near_relation(spectrum, current)
     total = float(spectrum.energy.sum(dtype=float))
     return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
@@ -178,8 +175,7 @@ def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
         return np.asarray(np.where(near, np.maximum(energy, 0.0), 0.0).sum(axis=0).reshape(shape[1:]))
 
     measured = on_relation(spectrum.energy - spectrum.noise)
-    # the energies of four waves per cell are deconvolved with `richardson_lucy`: a sea that is too wide would
-    # have too little leakage from strong into weak directions
+    # deconvolved, since a sea that is too wide has too little leakage from strong into weak directions
     offsets = (np.arange(WAVES_PER_AXIS) + 0.5) / WAVES_PER_AXIS - 0.5
     rows, columns = np.indices(shape[1:])
     places = np.array([(rows + a, columns + b) for a in offsets for b in offsets])
@@ -250,8 +246,7 @@ class RelationPoints:
 
 
 def sectors_of(spectrum: PlaneSpectrum, count: int) -> Sectors:
-    """Return direction (rad) and cell indices, sorted by k, of each of `count` sectors; the first is around
-    +x."""
+    """Return the direction (rad) and the cell indices, sorted by k, of each of `count` sectors."""
     by_k = np.argsort(spectrum.k, kind="stable")
     half_width = np.pi / count
     middles = np.arange(count) * 2 * half_width
@@ -261,8 +256,7 @@ def sectors_of(spectrum: PlaneSpectrum, count: int) -> Sectors:
 
 def centroids(spectrum: PlaneSpectrum, sectors: Sectors, current: Array) -> RelationPoints:
     """Return the centroid in k of the energy above the noise, for each frequency and sector of direction.
-    Points are left out if too few cells or too little signal are near the relation on `current`, or if the
-    centroid is not near it."""
+    A point needs five cells and more signal than noise near the relation on `current`."""
     omega, water = spectrum.omega, spectrum.water
     k_table = np.linspace(0.1, 1.2 * spectrum.k.max(), 4000)
     free = dispersion(k_table, *water)
@@ -312,9 +306,8 @@ def centroids(spectrum: PlaneSpectrum, sectors: Sectors, current: Array) -> Rela
 
 
 def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:
-    """Return the k, rad/m, that solves omega = free(k) + k along at each frequency `omega`; NaN if blocked.
-    `free` and `speed` are frequency and group velocity in still water at `k`; `along` is the current along
-    k."""
+    """Return the k, rad/m, that solves omega = free(k) + k along at each `omega`; NaN if waves are blocked.
+    `free` and `speed` are still-water frequency and group velocity at `k`; `along` is the current."""
     doppler = free + k * along
     blocked = speed + along < MIN_SPEED_ON_CURRENT * speed
     last = int(blocked.argmax()) if blocked.any() else k.size
@@ -324,8 +317,7 @@ def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: flo
 
 
 def _strongest_sector(points: RelationPoints) -> Array:
-    """Return, for each point, the largest energy in any sector at its frequency or a neighbouring one,
-    (points,)."""
+    """Return the largest energy of any sector at or next to the frequency of each point, (points,)."""
     if not len(points):
         return points.energy
     _, line = np.unique(points.omega, return_inverse=True)
@@ -337,8 +329,8 @@ def _strongest_sector(points: RelationPoints) -> Array:
 def window_displacement(
     spectrum: PlaneSpectrum, band: Array, sectors: Sectors, current: Array
 ) -> tuple[Array, Array]:
-    """Return the keys of points, and by how much Hann windows displace their k, rad/m, each (points,).
-    It is found with simulated free waves at the frequencies of the mask `band`; mere leakage is left out."""
+    """Return the keys of points, and the displacement of their k by Hann windows, rad/m, each (points,).
+    The displacement is that of simulated free waves, at the frequencies of the mask `band`."""
     free_waves = windowed_waves(spectrum, current)[band]
     simulated = replace(spectrum.on_lines(band), energy=free_waves, noise=np.zeros_like(free_waves))
     points = centroids(simulated, sectors, current)

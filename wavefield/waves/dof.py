@@ -41,9 +41,8 @@ def hann_correlation(lines: int) -> Array:
 
 
 def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
-    """Return the degrees of freedom (n,) of sums of correlated powers, given squared correlations `overlap`
-    rho2. They are (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)], with `power` P, `dof` nu:
-    (parts, n)."""
+    """Return the degrees of freedom (n,) of sums over parts of powers with squared correlations `overlap`,
+    rho2: (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)], for `power` P, `dof` nu (parts, n)."""
     size = np.sqrt(np.maximum(np.diag(overlap), 1e-300))
     share = power / np.sqrt(dof)
     variance = np.einsum("in,in->n", share, (overlap / np.outer(size, size)) @ share)
@@ -52,8 +51,7 @@ def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
 
 
 def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
-    """Return a Dataset with the spectrum ``E``, its ``dof`` (at least 1), and its 95 % interval ``low``,
-    ``high``."""
+    """Return a Dataset of the spectrum ``E``, its ``dof`` and its 95 % interval ``low``, ``high``."""
     dof = dof.clip(min=1)
     low, high = (dof.copy(data=limit) for limit in interval(dof.values))
     return annotate(xr.Dataset({"E": energy, "dof": dof, "low": low, "high": high}))
@@ -63,9 +61,8 @@ ROUNDS = 4  # of deconvolution; tuned on random seas: with one, intervals of E(o
 
 
 def expected_segment_correlation(power: Array, count: int) -> Array:
-    """Return the variance of a mean over `count` half-overlapping segments over that for independent
-    segments. It is computed at each frequency from `power`, both (n, lines); peaks narrower than the
-    frequency step raise it."""
+    """Return the variance of a mean over `count` half-overlapping segments over that for independent ones.
+    Like the spectrum `power`, it is (n, lines). Peaks narrower than the frequency step raise it."""
     lines = np.arange(power.shape[1])
     between = 2  # frequencies of the sharpened spectrum per line, so that a peak may lie between lines
     fine = np.arange(between * (lines.size - 1) + 1) / between
@@ -75,8 +72,7 @@ def expected_segment_correlation(power: Array, count: int) -> Array:
         return np.asarray(ndimage.convolve1d(spectrum, response, axis=1, mode="constant"))
 
     def spread(ratio: Array) -> Array:
-        """Return `ratio` (n, lines) convolved with the Hann window's response, at the finer frequencies
-        `fine`."""
+        """Return `ratio` (n, lines) convolved with the Hann response, at the finer frequencies."""
         between_lines = np.zeros((len(ratio), fine.size))
         between_lines[:, ::between] = ratio
         return windowed(between_lines)
@@ -105,10 +101,9 @@ def hann_autocorrelation(lag: Array) -> Array:
 
 
 def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
-    """Return the variance of a mean over `count` segments over that for independent segments, for wave
-    packets. It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K segments of `duration` T, s. c is the
-    autocorrelation of Hann windows in time and over `lengths` (x, y), m, for packets with `velocity` (x, y),
-    m/s."""
+    """Return the variance of a mean over `count` segments over that for independent ones, for wave packets.
+    It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K segments of `duration` T, s. c is the
+    autocorrelation of Hann windows in time and over `lengths` (x, y), m, at packet `velocity` (x, y), m/s."""
     s = np.linspace(-1, 1, 41)  # more points change nothing
     in_time = hann_autocorrelation(s)
     out, alone = np.ones_like(velocity[0]), np.ones(())
@@ -147,8 +142,8 @@ def wave_share(power: Array) -> Array:
 
 
 def keep_points(sums: dict[str, Array], name: str, first: Array, second: Array, begin: int) -> None:
-    """Store the Fourier transforms (nodes, frequencies) of one segment at some nodes in `sums`. `first` and
-    `second` are the halves (nodes, steps) of the segment; its key has `name` and first step `begin`."""
+    """Store the Fourier transforms (nodes, frequencies) of a segment at some nodes in `sums`. `first` and
+    `second` are its halves (nodes, steps). The key contains `name` and its first step, `begin`."""
     series = np.concatenate([first, second], axis=1)
     series = (series - series.mean(axis=1, keepdims=True)) * hann(series.shape[1])
     sums[f"points {name} from {begin:012d}"] = fft.rfft(series, axis=1).astype(np.complex64)
@@ -228,8 +223,7 @@ def independent_samples(
     sums: Mapping[str, Any], first: str, second: str, dof_k: tuple[Array, Array], welch: Welch
 ) -> dict[str, Array]:
     """Return the number N of independent samples of a cross spectrum ("both") and of its sum over omega
-    ("k"). For unrelated fields `first` and `second`, <|S_ab|^2> = E_a E_b / N. `dof_k` belongs to E(k) of
-    each field."""
+    ("k"). For unrelated fields `first`, `second`: <|S_ab|^2> = E_a E_b / N. `dof_k` is for their E(k)."""
     product = sums[first][0] * sums[second][0]
     power, there = np.sqrt(product), product > 0
     real, imaginary = sums[f"{first}*{second}"]
@@ -247,7 +241,7 @@ def independent_samples(
         of_k = apart * np.sqrt(dof_k[0] * dof_k[1]) / 2
         return {"both": both.clip(1, None), "k": of_k.clip(1, None)}
     correlation = np.minimum(correlation, 1 + (1 - 1 / welch.count) / 3)
-    # for independent segments; then each cell contributes its correlation by its share of the variance
+    # for independent segments; the correlation of each cell is then weighted by its variance
     both, of_k = welch.count * cells, apart * freedom_of_sums(power, 2 * welch.count * cells, welch)["k"] / 2
     variance = product / cells
     of_sum = (variance * correlation).sum(axis=1) / np.maximum(variance.sum(axis=1), 1e-300)

@@ -39,9 +39,8 @@ _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m: waves of 6 km to 1.6 mm
 
 
 def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
-    """Return the frequency omega - k . U in a frame that moves with the water, rad/s, with limits on its
-    modulus. `doppler_shift` is k . U. The limits, half to 1.5 times the free-wave frequency `sigma`, keep it
-    away from zero; they are widened to contain omega."""
+    """Return the frequency omega - k . U in a frame that moves with the water, rad/s; `doppler_shift` is k .
+    U. Its modulus is kept at 0.5 to 1.5 times the free-wave frequency `sigma`, or closer to omega."""
     intrinsic = np.asarray(omega - doppler_shift)
     least = np.minimum(omega, (1 - MAX_DEPARTURE) * sigma)
     most = np.maximum(omega, np.minimum((1 + MAX_DEPARTURE) * sigma, np.pi / dt))
@@ -61,8 +60,7 @@ LEARNED_WITHIN = 1.5  # chosen: a predicted signal-to-noise ratio is uncertain b
 
 
 def _white(noise: Array, use: Array) -> Array:
-    """Return the white noise at each k, (k,): the median over omega of `noise` (omega, k) where `use`, at
-    least 0."""
+    """Return white noise (k,): the median over omega of `noise` (omega, k) where `use` is true."""
     noise = np.where(use, noise, np.nan)
     usable = np.isfinite(noise).any(axis=0)  # short records: some rings have no line away from free waves
     out: Array = np.zeros(noise.shape[1])
@@ -71,8 +69,7 @@ def _white(noise: Array, use: Array) -> Array:
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    """Return the highest frequency, Hz, of the valid range around the peak, and the decades `signal` falls to
-    it. `valid` and `signal` are (omega,)."""
+    """Return the upper end, Hz, of the valid range at the peak, and the decades that `signal` falls."""
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
@@ -101,8 +98,7 @@ def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Arra
 
 @dataclass(frozen=True)
 class _Gains:
-    """Gains (k,) of the power spectra of z and of w (0 if too small), and of the cross spectrum of z and
-    w."""
+    """Gains (k,) of the power spectra of z and w, 0 if too small, and of their cross spectrum."""
 
     z: Array
     w: Array
@@ -121,8 +117,7 @@ class _Gains:
         return np.asarray((self.z > 0) & (self.w > 0))
 
     def elevation(self, cross: Array) -> Array:
-        """Return the elevation spectrum (omega, k) from `cross`, the cross spectrum of z and w.
-        It is 0 where a gain is too small."""
+        """Return the elevation spectrum (omega, k) from `cross` of z and w; 0 where a gain is too small."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.both_usable, cross / self.zw, 0.0)
 
@@ -224,8 +219,8 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
 
 
 def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array, Array]:
-    """Return the elevation spectrum from z and w combined, its noise and its uncertainty, each (omega, k).
-    Weights are inverse variances. The uncertainty is relative, of an amplitude, and due to the gains only."""
+    """Return the elevation spectrum from z and w combined, its noise and its uncertainty, each (omega, k). z
+    and w have inverse-variance weights. The uncertainty is relative, of amplitude, and due to gains only."""
     std_z, std_w = gains.std
     waves = np.maximum(gains.elevation(spectra.zw), 0.0)
     by_z = np.sqrt(gains.z) / (noise.fit_z + std_z**2 * gains.z * waves)
@@ -249,9 +244,8 @@ def _tiny(spectra: _Elevations) -> float:
 def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
 ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
-    """Return energies, masks of trusted values and relative uncertainties due to the gains, each by
-    `METHODS`. Arrays are (omega, k). If `undo`, energies are corrected for noise and gains, and 0 where not
-    trusted."""
+    """Return energies, masks of trusted values and relative gain uncertainties of energy, each by `METHODS`.
+    Arrays are (omega, k). If `undo`, energies are corrected for noise and gains, and 0 if untrusted."""
     best, remaining, std_best = _best(spectra, noise, gains)
     with np.errstate(divide="ignore", invalid="ignore"):
         signals = (
@@ -279,8 +273,7 @@ def _freedom(
     ring: xr.Dataset, energies: Sequence[Array], remaining: Array, gain_variances: Array, tiny: float
 ) -> Array:
     """Return the degrees of freedom of E(omega), (methods, omega), lowered for subtracted noise and gain
-    errors. `energies` and `remaining` are E(omega) and its noise; `gain_variances` (methods, omega) are
-    relative."""
+    errors. `energies` and `remaining` are E(omega) and noise; `gain_variances` are relative."""
     z, w = (ring["dof_omega"].sel(quantity=name).clip(min=1).values for name in NAMES)
     dof = np.stack([z, w, np.sqrt(z * w), np.sqrt(z * w)])
     zz, ww, zw, best = energies
@@ -359,8 +352,8 @@ def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
 
 
 def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str, float]) -> xr.Dataset:
-    """Return the elevation spectra by method that `analyze` writes to its group `spectra`. They are valid
-    where z or w exceeds four times `filled`, the power that interpolation errors add to E(omega)."""
+    """Return the elevation spectra by method that `analyze` writes to its group `spectra`.
+    They are valid where z or w, as used, exceeds four times `filled`, the power of interpolation errors."""
     out = fused[BY_SOURCE].copy()
     step = float(ring["k"][1] - ring["k"][0])
     over_k = {name: ring["E"].sel(quantity=name).sum("k").values * step for name in NAMES}

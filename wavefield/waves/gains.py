@@ -1,9 +1,9 @@
 """Gains (transfer functions) of the measurement, and their correction in spectra.
 
-Averages and differences over time steps have gains that depend on omega dt, and on `frames`, the number of
-frames per velocity (`path_frames`). Matching windows average over space; their amplitude gain is a Dataset
-over (direction, k) with ``gain_z``, ``gain_u``, ``gain_v``, ``gain_w``, NaN where it is unknown. The
-measurement predicts it and stores it in the cube; users can give their own.
+Averages and differences over time steps have gains that depend on omega dt, and on `frames`, the code
+`path_frames` of velocities. Matching windows average over space; their amplitude gain is a Dataset over
+(direction, k) with ``gain_z``, ``gain_u``, ``gain_v``, ``gain_w``, NaN where it is unknown. The measurement
+predicts it and stores it in the cube; users can give their own.
 """
 
 from pathlib import Path
@@ -24,8 +24,8 @@ MIN_SIGNAL_TO_NOISE = 3.0  # of a cell, ring or band: a noise wrong by a tenth c
 
 
 def path_factor(omega: Any, dt: float, frames: int) -> Any:
-    """Return the amplitude gain of a velocity from `frames` frames, relative to one from two frames. For more
-    than two frames it is w_0 + 2 w_1 cos(omega dt) + 2 w_2 cos(2 omega dt), with `PATH_WEIGHTS` w."""
+    """Return the amplitude gain of a velocity with code `frames` (see `frames_of`) relative to two frames.
+    For paths it is w_0 + 2 w_1 cos(omega dt) + 2 w_2 cos(2 omega dt), with weights w of `PATH_WEIGHTS`."""
     if frames == INSTANTANEOUS:
         with np.errstate(divide="ignore"):
             return 1 / np.sinc(np.asarray(omega) * dt / (2 * np.pi))

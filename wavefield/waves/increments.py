@@ -76,16 +76,14 @@ def structure_functions(field: xr.DataArray, *, differences: int = 1) -> xr.Data
     Raises
     ------
     CubeError
-        If the record contains fewer than eight blocks of two steps, fewer than 8 x 8 nodes are measured, or
-        ``differences`` is neither 1 nor 2.
+        If fewer than 16 steps or 8 x 8 nodes are measured, or ``differences`` is neither 1 nor 2.
 
     Notes
     -----
-    Lags reach a sixteenth of the record, at most 10 s, and a third of the rectangle. Increments in time are
-    taken at points 8 cm apart, those in space at steps 0.2 s apart. The uncertainties are from a bootstrap
-    over blocks of time. A Gaussian field has flatness 3 at every lag; intermittency is a flatness that rises
-    above 3 towards short lags (Falcon, Fauve and Laroche, Phys. Rev. Lett. 98 (2007) 154501). The noise of
-    single nodes is Gaussian and dominates the shortest lags.
+    Lags reach a sixteenth of the record, at most 10 s, and a third of the rectangle of measured nodes. The
+    uncertainties are from a bootstrap over blocks of time. A Gaussian field has flatness 3 at every lag;
+    intermittency is a flatness that rises above 3 towards short lags (Falcon, Fauve and Laroche, Phys. Rev.
+    Lett. 98 (2007) 154501). Gaussian noise of single nodes dominates the shortest lags.
 
     Examples
     --------
@@ -141,7 +139,7 @@ def structure_functions(field: xr.DataArray, *, differences: int = 1) -> xr.Data
 
 
 def _moments(sums: Array) -> tuple[Array, Array]:
-    """Return structure functions (..., lags, 6) and flatness (..., lags) from `powers_of_differences`."""
+    """Return structure functions (..., lags, 6) and flatness (..., lags) from sums of |increment|^p."""
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = sums[..., 1:] / sums[..., :1]
         return mean, mean[..., 3] / mean[..., 1] ** 2

@@ -27,8 +27,8 @@ Convert = Callable[[Any, str], tuple[Any, dict[str, Any]]]
 
 def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
     """Return a decorator that checks or converts the first argument of an estimator with `convert`.
-    ``convert(argument, name)`` also returns a dictionary of parameters stored with the argument (such as the
-    depth), which are used unless the caller gives them. `name` is the estimator's."""
+    ``convert(argument, name)`` also returns parameters stored with the argument, such as the depth, as a
+    dictionary. They are used unless the caller gives them. `name` is the name of the estimator."""
 
     def decorate(estimator: Estimator) -> Estimator:
         signature = inspect.signature(estimator)
@@ -69,8 +69,7 @@ def is_cube(given: object) -> bool:
 
 
 def water_parameters(given: Any) -> dict[str, float]:
-    """Return the "depth" (m) and "gamma" (m3/s2) stored with a cube, field or spectrum, or an empty
-    dictionary."""
+    """Return "depth" (m) and "gamma" (m3/s2) of a cube, field or spectrum, if stored, as a dictionary."""
     stated = {name: given.coords[name].item() for name in WATER if name in given.coords}
     stated |= stated_water(given.attrs)
     if not stated:
@@ -85,8 +84,7 @@ def keep_water(out: xr.Dataset, given: xr.DataArray) -> xr.Dataset:
 
 
 def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
-    """Return `given` and its water parameters if it is a DataArray, else CubeError for the estimator
-    `name`."""
+    """Return `given` and its water parameters; CubeError naming the estimator if it is no DataArray."""
     if not isinstance(given, xr.DataArray):
         raise CubeError(
             f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"

@@ -125,8 +125,7 @@ def ring_cross_spectra(f: Array, g: Array, start: Array, ring: Array, weight: Ar
 
 @_loose
 def ring_squares(f: Array, g: Array, start: Array, ring: Array, spread: Array, out: Array) -> None:
-    """Add sums over rings of |f|^2 |g|^2, for Fourier transforms (cells, n), to ``out`` (rings, n // 2 +
-    1)."""
+    """Add sums over rings of |f|^2 |g|^2, for transforms (cells, n), to ``out`` (rings, n // 2 + 1)."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n)
@@ -157,8 +156,7 @@ def add_powers(f: Array, out: Array) -> None:
 
 @_rounded
 def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) -> None:
-    """Add ``real`` (n,) times Re(conj(f) g) and ``imaginary`` (n,) times Im(conj(f) g) to ``out`` (cells,
-    n)."""
+    """Add ``real`` Re(conj(f) g) + ``imaginary`` Im(conj(f) g), with factors (n,), to ``out`` (cells, n)."""
     for c in range(f.shape[0]):
         a = f[c]
         b = g[c]
@@ -170,8 +168,8 @@ def add_products(f: Array, g: Array, real: Array, imaginary: Array, out: Array) 
 
 @_fast
 def _along(z: Array, factor: float, out: Array) -> None:
-    """Write the derivative of z (n,) to ``out`` (n,), by central differences of sixth order; lower near the
-    ends. ``factor`` is 1 over the node spacing."""
+    """Write the derivative of z (n,) to ``out`` (n,), by central differences of up to sixth order.
+    ``factor`` is 1 over the node spacing."""
     n = z.size
     if n > 6:
         a, b, c, d, e, f = z[4:], z[2:], z[5:], z[1:], z[6:], z
@@ -252,8 +250,7 @@ def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: A
 @_loose
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
     """Add the power of each wave, spread over neighbouring cells, to the spectrum ``out`` (lines, ny, nx).
-    ``first`` (3, waves) is the first cell along each axis, and ``weights`` (3, waves, cells) the
-    fractions."""
+    ``first`` (3, waves) is its first cell along each axis; ``weights`` (3, waves, cells) are fractions."""
     lines, ny, nx = out.shape
     near = weights.shape[2]
     columns = np.empty(near, np.int64)

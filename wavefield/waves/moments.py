@@ -70,8 +70,7 @@ Scales = Mapping[str, tuple[float, float]]  # rough mean and standard deviation 
 
 
 def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return mean and standard deviation of each field, from eight steps, which set the bins of
-    histograms."""
+    """Return mean and standard deviation of each field from a few steps, to set bins of histograms."""
     part = (
         cube[list(names)]
         .isel(time=record.some_steps(SAMPLED_STEPS), y=slice(*record.y), x=slice(*record.x))
@@ -87,9 +86,9 @@ def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict
 
 
 def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -> dict[str, Array]:
-    """Return sums over fields (steps, ny, nx) by name, for `label`, with the means and deviations `scales`.
+    """Return sums over fields (steps, ny, nx) by name, for `label`; `scales` are rough means and deviations.
     "powers <field>" (4, nodes) are sums over steps of (value - mean)^p for p = 1 to 4, "counts <field>" is a
-    histogram, "steps" their number, and "slopes" the sum of squared slopes and their number."""
+    histogram, "steps" is their number, and "slopes" has the sum of squared slopes and their number."""
     out: dict[str, Array] = {}
     for name, values in fields.items():
         mean, std = scales[name]
@@ -105,9 +104,8 @@ def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -
 
 
 def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
-    """Return the moments of a field from `powers`, sums over steps of (value - `guess`)^p, p = 1 to 4, (4,
-    nodes). They are about the mean of each node, because differences between nodes are mostly calibration
-    errors."""
+    """Return moments of a field from `powers` (4, nodes), sums over steps of (value - `guess`)^p, p = 1 to 4.
+    They are about each node's mean, because differences between nodes are mostly calibration errors."""
     a1, a2, a3, a4 = powers / steps
     m2 = (a2 - a1**2).mean()
     m3 = (a3 - 3 * a1 * a2 + 2 * a1**3).mean()
@@ -135,8 +133,7 @@ def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, floa
 
 
 def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
-    """Return the Dataset of `statistics`, without spectral peak and uncertainties, from `sums` of
-    `sums_of`."""
+    """Return the Dataset of `statistics` from `sums_of`, without spectral peak and uncertainties."""
     fields = {name: field for name, field in QUANTITIES.items() if f"powers {field}" in sums}
     rows: dict[str, list[Any]] = defaultdict(list)
     for name, field in fields.items():
@@ -180,8 +177,7 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
         (excess), ``count`` and ``n_outliers``, the number of values beyond six standard deviations.
         ``std`` is about the mean of each node, ``pdf_std`` about that of all values. ``significant_height``
         (m) is four standard deviations of z. It, ``mean_square_slope``, ``slope_rms`` and ``peak_frequency``
-        (Hz) have standard uncertainties ``_std``. These are NaN if the longest run of steps has fewer than
-        8, and the peak is NaN in a record shorter than ten peak periods.
+        (Hz) have standard uncertainties ``_std``, NaN for records that are too short.
 
     Raises
     ------
@@ -254,8 +250,7 @@ def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma
 def _statistics_group(
     moments: xr.Dataset, fused: xr.Dataset, spectra: xr.Dataset, welch: Welch, depth: float, gamma: float
 ) -> Noted:
-    """Return the statistics that `analyze` writes, with notes for the user on outliers and on short
-    records."""
+    """Return the statistics that `analyze` writes, with notes on outliers and on short records."""
     notes = []
     outliers = zip(moments["quantity"].values, moments["n_outliers"].values)
     found = {str(q): int(n) for q, n in outliers if n}

@@ -74,8 +74,7 @@ def kinematics(cube: xr.Dataset, current: tuple[float, float] | None = None) -> 
     Notes
     -----
     The kinematic boundary condition is z_t = w - u . grad z. U . grad z is linear in the waves: it is part of
-    the rate of rise in a frame that moves with the water. Derivatives are central differences of sixth order,
-    of lower order near the edges.
+    the rate of rise in a frame that moves with the water. Derivatives are central differences.
 
     Examples
     --------
@@ -151,7 +150,7 @@ def balance(
 
 
 def balance_group(rows: list[dict[str, float]], cube: xr.Dataset) -> xr.Dataset:
-    """Return a Dataset over ``step`` of the rms values in `rows`, results of `balance` at some steps."""
+    """Return a Dataset over ``step`` of the rms values in `rows`, each a result of `balance` for one step."""
     time = cube["time"].values.astype(float)
     steps = np.array([row["step"] for row in rows], int)
     names = [name for name in rows[0] if name != "step"] if rows else []
@@ -178,8 +177,7 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Return the ratio sqrt(E_nl / E_w) of nonlinear term and w, over k and over omega, with 95 %
-    intervals."""
+    """Return the ratio sqrt(E_nl / E_w) of nonlinear term and w, over k and omega, with 95 % intervals."""
     out: dict[str, Any] = {}
     w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))
     for axis in ("k", "omega"):

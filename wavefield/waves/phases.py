@@ -43,14 +43,12 @@ def phase_average(cube: xr.Dataset, period: float, *, phases: int = 24) -> xr.Da
     Raises
     ------
     CubeError
-        If the cube has no z, the record contains fewer than four periods, the period is not longer than two
-        steps, or a phase contains fewer than two steps.
+        If the cube has no z or fewer than four periods, or if periods or phases have too few steps.
 
     Notes
     -----
-    Each step contributes to the two nearest phases, with linear weights, which reduces harmonics;
-    ``harmonic_amplitude`` is fitted to all steps and is not reduced. The uncertainty assumes that the
-    non-repeating parts of steps are independent.
+    Each step contributes to the two nearest phases, which damps harmonics; ``harmonic_amplitude`` is fitted
+    and not damped. The uncertainty assumes that the non-repeating parts of steps are independent.
 
     Examples
     --------
@@ -87,8 +85,7 @@ def phase_average(cube: xr.Dataset, period: float, *, phases: int = 24) -> xr.Da
 
 
 def phase_weights(angle: Array, phases: int) -> Array:
-    """Return weights (steps, phases) that divide each step between its two nearest phases; `angle` is in
-    rad."""
+    """Return weights (steps, phases) that divide each step, at `angle` (rad), between its nearest phases."""
     place = angle / (2 * np.pi) * phases
     low = np.floor(place)
     out = np.zeros((angle.size, phases))
@@ -99,9 +96,8 @@ def phase_weights(angle: Array, phases: int) -> Array:
 
 
 def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict[str, Array]:
-    """Return sums over steps of fields times `weights` (steps, phases) or `design` (steps, n), and of
-    squares. Arrays "mean <field>" are (phases, ny, nx), "fit <field>" (n, ny, nx) and "square <field>" (ny,
-    nx)."""
+    """Return sums over steps of each field, weighted by `weights` (steps, phases), "mean <field>", and by
+    `design` (steps, n), "fit <field>", and of its squares, "square <field>". Nodes are the last axes."""
     sums: dict[str, Array] = {}
     first = 0
     for run in read.record.runs:

@@ -42,8 +42,7 @@ class ProbeFit:
     gain: float  # standard deviation of the probe over that of the elevation
 
     def problems(self, dt: float) -> Iterator[tuple[str, str]]:
-        """Yield each fault of the probe as two texts, fault and remedy; `dt` is the time step of the cube,
-        s."""
+        """Yield each fault of the probe and its remedy, two texts; `dt` is the cube's time step, s."""
         if abs(self.best) < SAME_WAVES:
             yield (
                 f"it is unlike the elevation at its place at any time (correlation {self.best:.2f})",

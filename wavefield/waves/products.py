@@ -34,8 +34,7 @@ GIVEN = {
     "welch": "the record, its Welch segments and the rings of its k plane",
     "mean_current": "means of u and v, and their standard uncertainties, m/s",
     "pairs": "pairs of fields whose cross spectra were summed",
-    # Results of the pass over the whole cube. Products that need none of them are computed before that pass,
-    # so that their errors are raised early
+    # results of the pass over the whole cube; products that need none are computed first, to fail early
     "ring_sums": "powers and cross products, summed over rings and over single cells of the k plane",
     "scale": "rough mean and standard deviation of each field",
     "survey_sums": "sums of powers, and histograms, of the fields in units of `scale`",
@@ -50,8 +49,7 @@ class WaveProduct:
 
     name: str
     inputs: tuple[str, ...]  # names in `GIVEN`, or of other products
-    # Called with the inputs in order; returns a value, None if the record allows none, or a `Noted`. A
-    # product is left out if another product among its inputs has no value
+    # called with the inputs in order if all have values; returns a value, None or a `Noted`
     compute: Callable[..., Any]
     group: str = ""  # group of the wave store; empty if only other products use the value
     variables: tuple[Variable, ...] = ()  # its variables that are not in the table of `wavefield.variables`

@@ -25,8 +25,7 @@ ROUNDS = 3  # alternations between the prior spectrum and the filled values; a f
 
 
 def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
-    """Return a block (steps, ny, nx) with the most probable values at NaN and at steps in the mask
-    `missing`."""
+    """Return a block (steps, ny, nx) in which NaN and steps of the mask `missing` have likely values."""
     if not missing.any() and all_finite(block):
         return block
     hole = ~np.isfinite(block) | missing[:, None, None]
@@ -304,8 +303,7 @@ def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Re
 
 @dataclass(frozen=True)
 class _ValidNodes:
-    """Masks of measured nodes and of nodes outside holes, packed as bits, for successive intervals of
-    time."""
+    """Bit-packed masks of measured nodes and of nodes outside holes, for successive intervals of time."""
 
     pieces: Sequence[tuple[int, int]]
     masks: Sequence[np.ndarray | None]  # None for a piece without gaps

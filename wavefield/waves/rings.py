@@ -19,8 +19,8 @@ class Rings:
     dk: float  # width, rad/m
     coverage: np.ndarray  # fraction of each ring inside the sampled plane with its corners, (rings,)
     cells: np.ndarray  # independent cells of each ring under Hann windows, for an even spectrum, (rings,)
-    # Squared correlation between rings, (rings, rings): a sum over rings with fractions p of its energy has
-    # 1 / (p . overlap . p) independent cells.
+    # squared correlation between rings, (rings, rings); a sum with energy fractions p has
+    # 1 / (p . overlap . p) independent cells
     overlap: np.ndarray
     # area fraction of each cell of the plane (in the order of numpy.fft) in each ring, (cells, rings)
     shares: sparse.csr_array
@@ -43,8 +43,7 @@ def half_plane(ny: int, nx: int, dy: float, dx: float) -> np.ndarray:
 
 
 def mirror_weights(nx: int) -> np.ndarray:
-    """Return weights (nx // 2 + 1,) of kx >= 0 that make sums over this half plane sums over all wave
-    vectors."""
+    """Return weights (nx // 2 + 1,) that extend sums over kx >= 0 to sums over all wave vectors."""
     weights = np.full(nx // 2 + 1, 2.0)
     weights[0] = 1
     if nx % 2 == 0:
@@ -53,8 +52,7 @@ def mirror_weights(nx: int) -> np.ndarray:
 
 
 def _hann_overlap(n: int) -> sparse.csr_array:
-    """Return the squared correlation (n, n) between the `n` Fourier coefficients of Hann-windowed white
-    noise."""
+    """Return the squared correlation (n, n) between Fourier coefficients of Hann-windowed white noise."""
     rows = np.arange(n)
     out = sparse.eye_array(n, format="csr") * HANN_CORRELATION[0]
     for shift, value in enumerate(HANN_CORRELATION[1:], start=1):

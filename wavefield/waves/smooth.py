@@ -36,8 +36,7 @@ ROUNDS = 8  # rounds of learning; in the last, spectra change by a few per cent
 
 class PlaneWaves:
     """Linear model of z, u, v and rate of rise in a rectangle of nodes: free waves, plus a constant per
-    field. Its n complex unknowns (wave amplitudes, four constants) are stored as real, then imaginary parts,
-    (2 n,)."""
+    field. Its n complex unknowns (amplitudes, constants) are stored as (2 n,): real, then imaginary parts."""
 
     def __init__(
         self, shape: tuple[int, int], step: float, times: Array, current: Array, depth: float, gamma: float
@@ -84,8 +83,7 @@ class PlaneWaves:
         return self._sums(self._slope_response(time)[:, None], unknowns)[:, 0]
 
     def _slope_response(self, time: int) -> NDArray[np.complex128]:
-        """Return the derivatives of z_x and z_y with respect to each complex unknown, (2, n), at the index
-        `time`."""
+        """Return derivatives of z_x and z_y with respect to each unknown, (2, n), at the index `time`."""
         k = np.stack([np.append(self.kx, 0.0), np.append(self.ky, 0.0)])
         return np.asarray(1j * k[:, self.vector] * self.response[0, time])
 
@@ -98,8 +96,7 @@ class PlaneWaves:
         return np.asarray((flat @ self.basis.T).reshape(*each.shape[:2], *self.shape))
 
     def transposed(self, weighted: Array) -> Array:
-        """Return the transpose of the linear map `fields`, (2 n,), applied to `weighted` (4, times, ny,
-        nx)."""
+        """Return the transpose of the map `fields` applied to `weighted` (4, times, ny, nx), (2 n,)."""
         sums = weighted.reshape(-1, self.basis.shape[0]) @ self.basis
         real, imaginary = np.split(sums.reshape(*weighted.shape[:2], -1), 2, axis=-1)
         out = ((real + 1j * imaginary)[..., self.vector] * self.response).sum(axis=(0, 1))
@@ -236,8 +233,7 @@ JUMP_OF_TIME = -1.0  # marks a step at which time jumps, in place of its quality
 
 
 class _Smoother:
-    """Smooths one time step after the other, in overlapping rectangles of nodes that together cover the
-    grid."""
+    """Smooths time steps one by one, in overlapping rectangles of nodes that cover the grid."""
 
     def __init__(
         self,
@@ -280,8 +276,7 @@ class _Smoother:
 
     def study(self, windows: list[Array]) -> None:
         """Estimate wave spectrum and noise (`learned`) from sample windows (9, times, ny, nx), as in `parts`.
-        The more complete half of the windows is used. CubeError if under a quarter of the nodes are
-        measured."""
+        The more complete half of them is used. CubeError if under a quarter of the nodes are measured."""
         parts = [self.parts(window) for window in windows]
         shares = [there.mean() for _, _, there in parts]
         parts = [parts[i] for i in np.argsort(shares, kind="stable")[len(parts) // 2 :]]
@@ -385,8 +380,7 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     ----------
     cube : Dataset
         z, u, v, w over (time, y, x), m and m/s, with their standard uncertainties ``z_std``, ``u_std``,
-        ``v_std``, ``w_std``; ``quality`` and ``frame_status`` where present. A lazy cube gives a lazy result,
-        except that some steps of it are read at once, to learn spectrum, noise and current.
+        ``v_std``, ``w_std``; ``quality`` and ``frame_status`` where present. A lazy cube gives a lazy result.
     depth : float, optional
         Depth of the water, m; by default the depth stored with the cube, or else deep water.
 
@@ -400,8 +394,8 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     Raises
     ------
     CubeError
-        If a variable is missing, the record has fewer than five steps, the grid has fewer than 8 nodes a side
-        or different steps along x and y, or fewer than a quarter of the nodes are measured.
+        If a variable is missing, there are fewer than five steps or 8 x 8 nodes, node spacings along x and y
+        differ, or fewer than a quarter of the nodes are measured.
 
     Notes
     -----
@@ -413,9 +407,8 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     constant for each field. U is the mean velocity. The amplitudes a are the posterior means for the noise
     and the spectrum of the record, which are estimated from sample windows.
 
-    If the mean square of the residual exceeds the noise by a factor 1 + q, the fraction q / (1 + q) of the
-    residual is added to the fit. Motion that is not free waves (steep waves, eddies) therefore stays as
-    measured, with its standard uncertainty.
+    If the mean square of the residual is 1 + q times the noise, the fraction q / (1 + q) of the residual is
+    added to the fit, so that other motion (steep waves, eddies) stays as measured.
 
     Examples
     --------

@@ -98,8 +98,8 @@ def spectrum(field: xr.DataArray, *, segment: int | None = None, record: Record 
     Notes
     -----
     E = dt dy dx / ((2 pi)^3 sum W^2) <|FFT(W f)|^2>, with the Hann window W in time, y and x, the mean <>
-    over segments that overlap by half, and a factor 2 for 0 < omega < Nyquist. The sum of E domega dkx dky is
-    the weighted variance <W^2 f^2> / <W^2>. The mean and trend in time are removed.
+    over segments that overlap by half, and a factor 2 for 0 < omega < Nyquist. The integral of E is the
+    weighted variance <W^2 f^2> / <W^2>. The mean and trend in time are removed.
 
     Examples
     --------
@@ -130,8 +130,7 @@ def plane_density(values: object, name: str, units: str, welch: Welch) -> xr.Dat
 
 
 def total(density: xr.DataArray) -> xr.DataArray:
-    """Return the integral of a spectrum over all its axes omega, k, ky, kx, which is the variance of the
-    field."""
+    """Return the integral of a spectrum over its axes omega, k, ky, kx: the variance of the field."""
     out = density
     for name in ("omega", "k", "ky", "kx"):
         if name in density.dims:
@@ -211,8 +210,7 @@ def ring_spectrum(
 
 
 def _attrs_of_sum(given: xr.DataArray | xr.Dataset, axis: str) -> dict[str, Any]:
-    """Return attributes (name and units) for E(omega) or E(k), a sum of the result `given` of `komega` along
-    `axis`."""
+    """Return name and units for E(omega) or E(k), the sum of a result of `komega` along `axis`."""
     if "field" not in given.attrs:  # several quantities of an analysis
         return TABLE[f"spectra/E_{axis}"].attrs
     return TABLE[f"{axis}/E"].of(given.attrs["field"], density_units(given.attrs["field_units"], axis))
@@ -345,8 +343,7 @@ def map_lines(welch: Welch) -> list[int]:
 
 
 def maps(z: xr.DataArray, w: xr.DataArray, welch: Welch) -> xr.Dataset:
-    """Return ``E_kxky`` (quantity_map, omega_map, ky, kx): E(omega, ky, kx) of z and w at a few
-    frequencies."""
+    """Return ``E_kxky`` (quantity_map, omega_map, ky, kx): E of z and w at the frequencies `map_lines`."""
     parts = [field.isel(omega=map_lines(welch)) for field in (z, w)]
     both = xr.concat(parts, xr.Variable("quantity_map", ["z", "w"]))
     return both.drop_vars("frequency").rename(omega="omega_map").drop_attrs().to_dataset(name="E_kxky")

@@ -49,8 +49,7 @@ def sources(names: Sequence[str]) -> list[str]:
 
 
 def advected(fields: Mapping[str, Array], welch: Welch) -> dict[str, Array]:
-    """Return nl = (u - U) . grad z and rise = z_t + U . grad z, (steps, ny, nx), for the current U of
-    `welch`."""
+    """Return nl = (u - U) . grad z and rise = z_t + U . grad z, (steps, ny, nx), for the current U."""
     z, z_t, u, v = (fields[name] for name in ADVECTED)
     z_y, z_x = np.empty_like(z), np.empty_like(z)
     kernels.gradient(z, welch.record.dy, welch.record.dx, z_y, z_x)
@@ -71,7 +70,7 @@ def transforms(
 ) -> dict[str, Array]:
     """Return the spatial Fourier transforms (cells, steps) of the quantities in half a segment, by name.
     "points <name>" (16, steps) are values at 16 nodes, "nodes" (pairs, steps) at all nodes, two per complex
-    number. To save memory, `fields` is emptied and `memory` overwritten."""
+    number. `fields` is emptied and `memory` is overwritten, to save memory."""
     out, memory, names = {}, memory or {}, requested.names
     if {"nl", "rise"} & {*names}:
         fields |= advected(fields, welch)
@@ -141,8 +140,7 @@ def add_segment(
 
 
 def _powers_of_nodes(first: Array, second: Array) -> Array:
-    """Return the power of a segment summed over nodes, (n // 2 + 1,), from its halves (pairs, steps) of node
-    values."""
+    """Return the power of a segment summed over nodes, (n // 2 + 1,), from halves (pairs of nodes, steps)."""
     half = first.shape[1]
     transform, sums = TimeTransform(half, first.dtype), np.zeros((CELLS, 2 * half))
     for slab in slabs(first.shape[0]):

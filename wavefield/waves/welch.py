@@ -29,8 +29,7 @@ def hann(n: int) -> np.ndarray:
 
 
 def hann_power(distance: np.ndarray) -> np.ndarray:
-    """Return the relative power of a sine wave in a Hann-windowed spectrum, `distance` frequency steps
-    away."""
+    """Return the power of a sine wave in a Hann-windowed spectrum, `distance` frequency steps away."""
     off = np.where(np.abs(np.abs(distance) - 1) < 1e-9, 0.0, 1 - distance**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         amplitude = np.where(off == 0, 0.5, np.sinc(distance) / off)
@@ -54,20 +53,17 @@ def choose_segment(steps: int) -> int:
 
 
 def overlap_factor(segments: float) -> float:
-    """Return the variance of a mean over half-overlapping Hann-windowed segments over that for independent
-    ones."""
+    """Return the variance of a mean over half-overlapping Hann segments over that for independent ones."""
     return 1 + 2 * (1 - 1 / segments) / 36
 
 
 def degrees_of_freedom(segments: float) -> float:
-    """Return the degrees of freedom of one spectral value, averaged over half-overlapping Hann-windowed
-    segments."""
+    """Return the degrees of freedom of a spectral value averaged over half-overlapping Hann segments."""
     return 2 * segments / overlap_factor(segments)
 
 
 def interval(dof: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower and upper limit of the 95 % interval, as factors of the spectrum, shaped like
-    `dof`."""
+    """Return the lower and upper limits of the 95 % interval, as factors of the spectrum, like `dof`."""
     dof = np.asarray(dof, float)
     unique, index = np.unique(dof, return_inverse=True)  # many cells have the same number
     quantiles = 1 - CHANCE / 2, CHANCE / 2  # of chi-squared
@@ -131,8 +127,7 @@ def _span(
 
 
 class Link(NamedTuple):
-    """Half a segment: the steps ``start`` to ``stop`` of a run; ``new`` unless an earlier group contains
-    it."""
+    """Half a segment: steps ``start`` to ``stop`` of a run; ``new`` unless an earlier task reads it."""
 
     start: int
     stop: int
@@ -295,8 +290,7 @@ Coordinates = dict[str, tuple[str, Array]]
 LEAST_COUNT = 4  # segments; with fewer, unrelated fields reach a squared coherence of .63 in 5 % of cases
 VELOCITY = "velocity"  # attribute of a cube or of its fields: the meaning of the velocities
 MEANINGS = {"displacement": 2, "instantaneous": INSTANTANEOUS}  # values of the attribute: `path_frames`
-# Smallest ratio of a spectrum to the white spectrum of the error at filled nodes. Holes that last for some
-# steps have up to twice this error at low frequencies.
+# least ratio of a spectrum to the white error of filled nodes; lasting holes have up to twice this error
 MIN_OVER_FILLED = 4.0
 
 
@@ -324,8 +318,7 @@ class Welch:
     def of(
         cls, fields: xr.DataArray | xr.Dataset, segment: int | None = None, record: Record | None = None
     ) -> "Welch":
-        """Return the estimator for fields over (time, y, x); by default it finds record and segment length
-        itself."""
+        """Return the estimator for fields over (time, y, x); the record and segment length are optional."""
         record = find_record(fields) if record is None else record
         length = segment_length(record, segment)
         return cls(record, length, frames_of(fields), depth=water_of(fields.attrs)[0])
@@ -358,14 +351,12 @@ class Welch:
 
     @property
     def duration(self) -> float:
-        """Effective duration of the record, s: (int w)^2 / int w^2, where w is the sum of all squared
-        windows."""
+        """Effective duration of the record, s: (int w)^2 / int w^2 of the sum w of squared windows."""
         return self.segment * self.record.dt * 18 * self.count**2 / (38 * self.count - 3)
 
     @property
     def density(self) -> float:
-        """Factor from |F|^2 of Fourier transforms F, summed over segments, to a density per (rad/m)^2 and
-        rad/s."""
+        """Factor from |F|^2 of transforms F, summed over segments, to a density per (rad/m)^2 and rad/s."""
         record = self.record
         energy = float(np.prod([(hann(n) ** 2).sum() for n in (self.segment, *record.shape)]))
         return record.dt * record.dy * record.dx / ((2 * np.pi) ** 3 * energy * self.count)
@@ -379,8 +370,7 @@ class Welch:
 
     @property
     def ring_density(self) -> float:
-        """Factor from |F|^2 of Fourier transforms F, summed over segments and the cells of a ring, to E(k,
-        omega)."""
+        """Factor from |F|^2 of transforms F, summed over segments and cells of a ring, to E(k, omega)."""
         ny, nx = self.record.shape
         cell = (2 * np.pi) ** 2 / (ny * self.record.dy * nx * self.record.dx)
         return self.density * cell / self.table.dk
@@ -394,8 +384,7 @@ class Welch:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Mask (omega, k), false where E is affected by the removed mean or is at or beyond a Nyquist
-        limit."""
+        """Mask (omega, k), false where the removed mean affects E and at or beyond Nyquist limits."""
         nyquist = np.pi / max(self.record.dy, self.record.dx)
         table = self.table
         in_k = (table.k > MAIN_LOBE * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
@@ -424,8 +413,7 @@ class Welch:
 
     @property
     def ring_variables(self) -> Mapping[str, tuple[str, Array]]:
-        """``coverage`` (fraction of a ring inside the k plane) and ``cells`` (independent cells in it), over
-        k."""
+        """Fraction of each ring inside the k plane, ``coverage``, and its independent ``cells``, over k."""
         return {"coverage": ("k", self.table.coverage), "cells": ("k", self.table.cells)}
 
     @property
@@ -465,7 +453,7 @@ def with_stated(given: Any) -> Any:
 
 def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
     """Return the code `path_frames`: 1 for instantaneous velocities, 2 (default) for displacements between
-    two frames, 4 to 7 for paths of 4 or 6 frames. CubeError if attributes ``velocity`` are inconsistent."""
+    two frames, 4, 6 or 7 for paths of 4 or 6 frames. CubeError if ``velocity`` attributes disagree."""
     fields = with_stated(fields)
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
