@@ -16,7 +16,7 @@ Float = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 F = np.float32
-BORDER = cv2.BORDER_REPLICATE
+BORDER, MIRROR = cv2.BORDER_REPLICATE, cv2.BORDER_REFLECT_101
 
 SMOOTHER_ORDER = 4  # n of the smoother 1 - (1 - G)^n: a higher order has a flatter passband
 RELAXATION = 1.25  # factor on every Gauss-Newton step, because noise in the gradients makes steps too short
@@ -87,32 +87,13 @@ def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.n
     inside = slice(margin, -margin)
     out = np.empty((4, *u.shape), np.float32)
     for n, field in enumerate((u, v)):
-        around = np.empty((u.shape[0] + 2 * margin, u.shape[1] + 2 * margin), np.float32)
-        _extend_oddly(np.asarray(field, np.float32), margin, around)
+        around = np.asarray(field, np.float32)
+        for y, x in ((0, margin), (margin, 0)):  # reflect oddly at the edges, which keeps the slope there
+            edges, mirror = (cv2.copyMakeBorder(around, y, y, x, x, kind) for kind in (BORDER, MIRROR))
+            around = F(2) * edges - mirror
         for m, (along_x, along_y) in enumerate(((difference, sharpened), (sharpened, difference))):
             out[2 * n + m] = cv2.sepFilter2D(around, -1, along_x, along_y)[inside, inside]
     return out
-
-
-@njit
-def _extend_oddly(field: np.ndarray, margin: int, out: np.ndarray) -> None:
-    """Copy a field (ny, nx) into the middle of `out`, with a margin of `margin` blocks on each side.
-    The margin is the field reflected oddly about its edge values, which keeps its slope at the edges."""
-    ny, nx = field.shape
-    for j in range(ny):
-        row, to = field[j], out[margin + j]
-        to[margin : margin + nx] = row
-        for k in range(1, margin + 1):
-            n = min(k, nx - 1)
-            to[margin - k] = F(2) * row[0] - row[n]
-            to[margin + nx - 1 + k] = F(2) * row[nx - 1] - row[nx - 1 - n]
-    first, last = out[margin], out[margin + ny - 1]
-    for k in range(1, margin + 1):
-        n = min(k, ny - 1)
-        low, high = out[margin + n], out[margin + ny - 1 - n]
-        for i in range(out.shape[1]):
-            out[margin - k, i] = F(2) * first[i] - low[i]
-            out[margin + ny - 1 + k, i] = F(2) * last[i] - high[i]
 
 
 @njit

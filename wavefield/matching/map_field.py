@@ -47,173 +47,6 @@ reassociating = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 in_order = compiled(error_model="numpy")
 
 
-class Modes:
-    """The cosine modes of a MAP field (the most probable field) on a lattice (ny, nx), and the solver for it.
-
-    Modes beyond the last one with a signal-to-noise ratio above 0.02 are left out. `requested` (ny, nx) is
-    True where holes count in the choice of the solver's tolerance; None: everywhere. `foot` (my, mx) is the
-    gain F of averaging over a block, `inverse` (c, my, mx) is 1/S, and `freedom` the fraction of the variance
-    of scores that a fit leaves.
-    """
-
-    def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
-        self.prior = prior
-        self._requested = np.ones(shape, np.bool_) if requested is None else requested.copy()
-        inside = np.zeros(shape, np.bool_)  # blocks near the edge never count as a hole
-        inside[EDGE_REACH:-EDGE_REACH, EDGE_REACH:-EDGE_REACH] = True
-        self._requested &= inside
-        kx, ky = wavenumbers(shape)
-        foot, spectrum, ratio = prior.footprint(kx, ky), prior.spectrum(kx, ky), prior.signal_to_noise(kx, ky)
-        rows, columns = np.nonzero((ratio > MIN_SIGNAL_TO_NOISE).any(axis=0))
-        # a multiple of eight modes (vector registers), and as many even as odd ones
-        my, mx = (
-            min(n // 2 * 2, (int(i.max(initial=3)) + 8) // 8 * 8)
-            for n, i in zip(shape, (rows, columns), strict=True)
-        )
-        band = np.s_[..., :my, :mx]
-        self.foot = np.ascontiguousarray(foot[band], np.float32)
-        self.inverse = np.ascontiguousarray(1.0 / spectrum[band], np.float32)
-        self._cosines = Cosines(shape, (my, mx))
-        self._by_parity = [self._cosines.split_parities(f) for f in (self.foot[None], self.inverse)]
-        self.freedom = float(np.mean([_freedom(one / (one + 1.0)) for one in ratio]))
-        # signal-to-noise ratio of single blocks, and therefore of the edge slopes that are fitted to them
-        of_blocks = prior.information * spectrum.mean(axis=(1, 2))
-        self._kept = np.minimum(of_blocks, 1.0).astype(np.float32)[:, None, None]
-        self._preconditioner = Preconditioner(
-            shape, ratio[band].mean(axis=0), 1.0 / spectrum[band].mean(axis=0), self.foot
-        )
-
-    @property
-    def lattice(self) -> tuple[int, int]:
-        """Number of rows and columns of blocks, (ny, nx)."""
-        return self._cosines.lattice
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Number of modes along y and x, (my, mx)."""
-        return self._cosines.shape
-
-    def waves(self, field: Float) -> Float:
-        """Return the cosine coefficients (c, my, mx) of a field (c, ny, nx)."""
-        return self._cosines.waves(field)
-
-    def field(self, waves: Float) -> Float:
-        """Return the field (c, ny, nx) with the cosine coefficients `waves` (c, my, mx)."""
-        return self._cosines.field(waves)
-
-    def block_mean(self, waves: Float) -> Float:
-        """Return the averages over the blocks, (c, ny, nx), of a field with coefficients (c, my, mx)."""
-        return self.field(self.foot * waves)
-
-    def split(self, field: Float) -> tuple[Float, Float]:
-        """Split a field (c, ny, nx) into a smooth part (c, ny, nx) and the cosine coefficients of the rest.
-        The smooth part (`edge_field`) has the field's slopes at the edges, reduced if they are noisy."""
-        edges = self._kept * edge_field(field)
-        return edges, self.waves(field - edges)
-
-    def factor(self, information: Float) -> Factor:
-        """Return the factorised preconditioner for `solve`, from the blocks' inverse variance (ny, nx)."""
-        return self._preconditioner.factor(information)
-
-    def tolerances(self, information: Float) -> tuple[float, float]:
-        """Return the tolerances of `solve` for the first evaluation of the images, and for later ones.
-        They are smaller if the blocks' inverse variance (ny, nx) has large holes, which converge last."""
-        hole = hole_mask(information, self.prior.information) & self._requested
-        return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
-
-    def solve(
-        self,
-        information: Float,
-        right: Float,
-        start: Float,
-        tolerance: float,
-        factor: Factor,
-        block_mean: Float | None = None,
-    ) -> Float:
-        """Solve (F A F + 1/S) f = F b by conjugate gradients from `start` (c, my, mx); return f (c, my, mx).
-
-        `information` is A, (1, ny, nx), or (3, ny, nx) with xx, xy, yy for two components. `right` (c, ny,
-        nx) is b = A u + s / nu, with the matched field u minus its smooth part, the scores s and their noise
-        nu. `factor` comes from `Modes.factor`; `block_mean` is that of `start`, computed if None. The
-        iteration stops when the rms residual is below `tolerance` standard uncertainties.
-        """
-        a, c = information, len(right)
-        block_mean = self.block_mean(start) if block_mean is None else block_mean
-        residual = self.foot * self.waves(right - _apply_information(a, block_mean)) - self.inverse * start
-        waves, residual = self._cosines.split_parities(start), self._cosines.split_parities(residual)
-        foot, inverse = (np.repeat(f, c // f.shape[3], axis=3) for f in self._by_parity)
-        typical = np.array([a[0].mean(), a[-1].mean()], np.float32)[:c, None]
-        diagonal = 1 / (foot**2 * typical + inverse)
-        a = self._cosines.mirrored(a)
-        step = np.empty_like(residual)
-        size = self._preconditioner.apply(residual, diagonal, factor, step)
-        direction, image = step.copy(), np.empty_like(residual)
-        for _ in range(MAX_ITERATIONS):
-            if size <= tolerance * tolerance * waves.size:
-                break
-            np.multiply(foot, direction, out=image)
-            quarters = self._cosines.quarters_of(image)
-            multiply(a, quarters)
-            image = self._cosines.coefficients_of(quarters)
-            flat = direction.ravel(), image.ravel()
-            length = F(size / _apply_prior(foot.ravel(), inverse.ravel(), *flat))
-            _advance(length, *flat, waves.ravel(), residual.ravel())
-            size, before = self._preconditioner.apply(residual, diagonal, factor, step), size
-            _update_direction(F(size / before), step.ravel(), direction.ravel())
-        return self._cosines.merge_parities(waves)
-
-
-def _apply_information(a: Float, field: Float) -> Float:
-    """Return A times a field (c, ny, nx).
-    A is (1, ny, nx) for one component, and (3, ny, nx) with xx, xy, yy for two."""
-    if len(field) == 1:
-        return a * field
-    u, v = field
-    return np.stack([a[0] * u + a[1] * v, a[1] * u + a[2] * v])
-
-
-@reassociating
-def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
-    """Replace A F p in `image` by (F A F + 1/S) p, in place; return its inner product with p.
-    p is `direction`, `foot` is F and `inverse` 1/S; all arrays are flat."""
-    total = F(0)
-    for i in range(len(image)):
-        value = foot[i] * image[i] + inverse[i] * direction[i]
-        image[i] = value
-        total += value * direction[i]
-    return total
-
-
-@reassociating
-def _advance(length: F, direction: Float, image: Float, waves: Float, residual: Float) -> None:
-    """Add `length` * `direction` to `waves` and subtract `length` * `image` from `residual`, in place."""
-    for i in range(len(waves)):
-        waves[i] += length * direction[i]
-        residual[i] -= length * image[i]
-
-
-@reassociating
-def _update_direction(ratio: F, step: Float, direction: Float) -> None:
-    """Replace `direction`, in place, by the next conjugate direction: `ratio` times itself, plus `step`."""
-    for i in range(len(step)):
-        direction[i] = ratio * direction[i] + step[i]
-
-
-def _freedom(gain: Float) -> float:
-    """Return the fraction, at least 0.2, of the variance of scores that remains after a fit.
-    Scores are summed over 5 x 5 blocks; `gain` (ny, nx) is that of the MAP field in every cosine mode."""
-    rows, columns = (_box(n) for n in gain.shape)
-    power = np.square(rows[:, None] * columns)
-    return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
-
-
-def _box(n: int) -> NDArray[np.float64]:
-    """Return the gain of the sum over 5 blocks (a cluster) along one axis, for n cosine modes, (n,)."""
-    m = np.arange(1, CLUSTER // 2 + 1)[:, None]
-    out: NDArray[np.float64] = 1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0)
-    return out
-
-
 # Cosine transforms by parity.
 #
 # Every cosine is even or odd about the middle of the lattice. A field is therefore the sum of four parts,
@@ -423,6 +256,155 @@ def _multiply_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom
         pe[i], po[i] = (f0 - f2) + (f1 - f3), (f0 - f2) - (f1 - f3)
         ve[i], vo[i] = (g0 + g2) + (g1 + g3), (g0 + g2) - (g1 + g3)
         qe[i], qo[i] = (g0 - g2) + (g1 - g3), (g0 - g2) - (g1 - g3)
+
+
+class Modes(Cosines):
+    """The cosine modes of a MAP field (the most probable field) on a lattice (ny, nx), and the solver for it.
+
+    Modes beyond the last one with a signal-to-noise ratio above 0.02 are left out. `requested` (ny, nx) is
+    True where holes count in the choice of the solver's tolerance; None: everywhere. `foot` (my, mx) is the
+    gain F of averaging over a block, `inverse` (c, my, mx) is 1/S, and `freedom` the fraction of the variance
+    of scores that a fit leaves.
+    """
+
+    def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
+        self.prior = prior
+        self._requested = np.ones(shape, np.bool_) if requested is None else requested.copy()
+        inside = np.zeros(shape, np.bool_)  # blocks near the edge never count as a hole
+        inside[EDGE_REACH:-EDGE_REACH, EDGE_REACH:-EDGE_REACH] = True
+        self._requested &= inside
+        kx, ky = wavenumbers(shape)
+        foot, spectrum, ratio = prior.footprint(kx, ky), prior.spectrum(kx, ky), prior.signal_to_noise(kx, ky)
+        rows, columns = np.nonzero((ratio > MIN_SIGNAL_TO_NOISE).any(axis=0))
+        # a multiple of eight modes (vector registers), and as many even as odd ones
+        my, mx = (
+            min(n // 2 * 2, (int(i.max(initial=3)) + 8) // 8 * 8)
+            for n, i in zip(shape, (rows, columns), strict=True)
+        )
+        band = np.s_[..., :my, :mx]
+        self.foot = np.ascontiguousarray(foot[band], np.float32)
+        self.inverse = np.ascontiguousarray(1.0 / spectrum[band], np.float32)
+        super().__init__(shape, (my, mx))
+        self._by_parity = [self.split_parities(f) for f in (self.foot[None], self.inverse)]
+        self.freedom = float(np.mean([_freedom(one / (one + 1.0)) for one in ratio]))
+        # signal-to-noise ratio of single blocks, and therefore of the edge slopes that are fitted to them
+        of_blocks = prior.information * spectrum.mean(axis=(1, 2))
+        self._kept = np.minimum(of_blocks, 1.0).astype(np.float32)[:, None, None]
+        self._preconditioner = Preconditioner(
+            shape, ratio[band].mean(axis=0), 1.0 / spectrum[band].mean(axis=0), self.foot
+        )
+
+    def block_mean(self, waves: Float) -> Float:
+        """Return the averages over the blocks, (c, ny, nx), of a field with coefficients (c, my, mx)."""
+        return self.field(self.foot * waves)
+
+    def split(self, field: Float) -> tuple[Float, Float]:
+        """Split a field (c, ny, nx) into a smooth part (c, ny, nx) and the cosine coefficients of the rest.
+        The smooth part (`edge_field`) has the field's slopes at the edges, reduced if they are noisy."""
+        edges = self._kept * edge_field(field)
+        return edges, self.waves(field - edges)
+
+    def factor(self, information: Float) -> Factor:
+        """Return the factorised preconditioner for `solve`, from the blocks' inverse variance (ny, nx)."""
+        return self._preconditioner.factor(information)
+
+    def tolerances(self, information: Float) -> tuple[float, float]:
+        """Return the tolerances of `solve` for the first evaluation of the images, and for later ones.
+        They are smaller if the blocks' inverse variance (ny, nx) has large holes, which converge last."""
+        hole = hole_mask(information, self.prior.information) & self._requested
+        return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
+
+    def solve(
+        self,
+        information: Float,
+        right: Float,
+        start: Float,
+        tolerance: float,
+        factor: Factor,
+        block_mean: Float | None = None,
+    ) -> Float:
+        """Solve (F A F + 1/S) f = F b by conjugate gradients from `start` (c, my, mx); return f (c, my, mx).
+
+        `information` is A, (1, ny, nx), or (3, ny, nx) with xx, xy, yy for two components. `right` (c, ny,
+        nx) is b = A u + s / nu, with the matched field u minus its smooth part, the scores s and their noise
+        nu. `factor` comes from `Modes.factor`; `block_mean` is that of `start`, computed if None. The
+        iteration stops when the rms residual is below `tolerance` standard uncertainties.
+        """
+        a, c = information, len(right)
+        block_mean = self.block_mean(start) if block_mean is None else block_mean
+        residual = self.foot * self.waves(right - _apply_information(a, block_mean)) - self.inverse * start
+        waves, residual = self.split_parities(start), self.split_parities(residual)
+        foot, inverse = (np.repeat(f, c // f.shape[3], axis=3) for f in self._by_parity)
+        typical = np.array([a[0].mean(), a[-1].mean()], np.float32)[:c, None]
+        diagonal = 1 / (foot**2 * typical + inverse)
+        a = self.mirrored(a)
+        step = np.empty_like(residual)
+        size = self._preconditioner.apply(residual, diagonal, factor, step)
+        direction, image = step.copy(), np.empty_like(residual)
+        for _ in range(MAX_ITERATIONS):
+            if size <= tolerance * tolerance * waves.size:
+                break
+            np.multiply(foot, direction, out=image)
+            quarters = self.quarters_of(image)
+            multiply(a, quarters)
+            image = self.coefficients_of(quarters)
+            flat = direction.ravel(), image.ravel()
+            length = F(size / _apply_prior(foot.ravel(), inverse.ravel(), *flat))
+            _advance(length, *flat, waves.ravel(), residual.ravel())
+            size, before = self._preconditioner.apply(residual, diagonal, factor, step), size
+            _update_direction(F(size / before), step.ravel(), direction.ravel())
+        return self.merge_parities(waves)
+
+
+def _apply_information(a: Float, field: Float) -> Float:
+    """Return A times a field (c, ny, nx).
+    A is (1, ny, nx) for one component, and (3, ny, nx) with xx, xy, yy for two."""
+    if len(field) == 1:
+        return a * field
+    u, v = field
+    return np.stack([a[0] * u + a[1] * v, a[1] * u + a[2] * v])
+
+
+@reassociating
+def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
+    """Replace A F p in `image` by (F A F + 1/S) p, in place; return its inner product with p.
+    p is `direction`, `foot` is F and `inverse` 1/S; all arrays are flat."""
+    total = F(0)
+    for i in range(len(image)):
+        value = foot[i] * image[i] + inverse[i] * direction[i]
+        image[i] = value
+        total += value * direction[i]
+    return total
+
+
+@reassociating
+def _advance(length: F, direction: Float, image: Float, waves: Float, residual: Float) -> None:
+    """Add `length` * `direction` to `waves` and subtract `length` * `image` from `residual`, in place."""
+    for i in range(len(waves)):
+        waves[i] += length * direction[i]
+        residual[i] -= length * image[i]
+
+
+@reassociating
+def _update_direction(ratio: F, step: Float, direction: Float) -> None:
+    """Replace `direction`, in place, by the next conjugate direction: `ratio` times itself, plus `step`."""
+    for i in range(len(step)):
+        direction[i] = ratio * direction[i] + step[i]
+
+
+def _freedom(gain: Float) -> float:
+    """Return the fraction, at least 0.2, of the variance of scores that remains after a fit.
+    Scores are summed over 5 x 5 blocks; `gain` (ny, nx) is that of the MAP field in every cosine mode."""
+    rows, columns = (_box(n) for n in gain.shape)
+    power = np.square(rows[:, None] * columns)
+    return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
+
+
+def _box(n: int) -> NDArray[np.float64]:
+    """Return the gain of the sum over 5 blocks (a cluster) along one axis, for n cosine modes, (n,)."""
+    m = np.arange(1, CLUSTER // 2 + 1)[:, None]
+    out: NDArray[np.float64] = 1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0)
+    return out
 
 
 # A cosine series has no slope at the edges of the lattice, so long waves that cross an edge would ring far

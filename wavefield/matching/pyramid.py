@@ -101,8 +101,12 @@ def match(
     if a.shape != b.shape:
         raise FrameError(f"the images to match differ in size: {a.shape} and {b.shape}")
     u, v = _coarse(a, b, settings)
-    finest = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
-    return _finest(finest, u, v, settings.iterations[-1])
+    pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
+    last = settings.iterations[-1] - 1
+    before_u, before_v = _plain_steps(pair, u, v, last)
+    sums = _last_sums(pair, before_u, before_v, _slopes(before_u, before_v))
+    u, v, outlier = pair.advance(before_u, before_v, pair.windows(sums[:2]), last)
+    return _assess(pair, u, v, sums, np.stack([u - before_u, v - before_v]), outlier)
 
 
 def _coarse(a: PreparedImage, b: PreparedImage, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
@@ -143,7 +147,6 @@ class _LevelPair:
 
     def __init__(self, a: Level, b: Level, sigma: float, settings: MatchSettings) -> None:
         self.a, self.b, self.sigma, self.settings = a, b, sigma, settings
-        self.masked = bool(a.good.size or b.good.size)
         self.weights = window_weights(settings.window)
         self.work = work_space(a.blocks[1])
         self.count: np.ndarray = np.zeros(a.blocks, np.float32)
@@ -159,7 +162,7 @@ class _LevelPair:
         if np.array_equal(count, self.count):
             return
         self.count, self.coverage, self._hessian = count, filtered(count, self.weights), None
-        if self.masked and self.sigma > 0:
+        if (self.a.good.size or self.b.good.size) and self.sigma > 0:
             # a weighted smoother, so that holes do not spoil their surroundings
             self.weighting = smoother_weights(np.maximum(self.coverage, F(1e-3)), self.sigma)
 
@@ -219,14 +222,6 @@ def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> 
         score = pair.windows(sums)
         u, v, _ = pair.advance(u, v, score, number)
     return u, v
-
-
-def _finest(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> Displacement:
-    """Take `count` Gauss-Newton steps on the finest level, from u, v (ny, nx), px, and assess blocks."""
-    before_u, before_v = _plain_steps(pair, u, v, count - 1)
-    sums = _last_sums(pair, before_u, before_v, _slopes(before_u, before_v))
-    u, v, outlier = pair.advance(before_u, before_v, pair.windows(sums[:2]), count - 1)
-    return _assess(pair, u, v, sums, np.stack([u - before_u, v - before_v]), outlier)
 
 
 def reevaluate(
