@@ -31,8 +31,7 @@ def gaussian(sigma: float) -> np.ndarray:
     """Return the weights, with sum 1, of a Gaussian of `sigma` blocks, cut at 2.7 sigma."""
     reach = max(1, int(np.ceil(2.7 * sigma)))
     weights = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * sigma**2))
-    out: np.ndarray = (weights / weights.sum()).astype(np.float32)
-    return out
+    return np.asarray(weights / weights.sum(), np.float32)
 
 
 def window_weights(window: float) -> np.ndarray:
@@ -66,8 +65,7 @@ def smoothed(
         for _ in range(order):
             rest -= norm * filtered(product, g, part)
             np.multiply(weight, rest, out=product)
-    out: np.ndarray = np.subtract(field, rest, out=rest)
-    return out
+    return np.asarray(np.subtract(field, rest, out=rest))
 
 
 def smoother_weights(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:

@@ -403,8 +403,7 @@ def _freedom(gain: Float) -> float:
 def _box(n: int) -> NDArray[np.float64]:
     """Return the gain of the sum over 5 blocks (a cluster) along one axis, for n cosine modes, (n,)."""
     m = np.arange(1, CLUSTER // 2 + 1)[:, None]
-    out: NDArray[np.float64] = 1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0)
-    return out
+    return np.asarray(1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0))
 
 
 # A cosine series has no slope at the edges of the lattice, so long waves that cross an edge would ring far

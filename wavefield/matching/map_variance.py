@@ -115,8 +115,7 @@ def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
 
 def _impulse(gain: Float) -> Float:
     """Return a quarter (ny + 1, nx + 1) of the even impulse response of a filter with gains (ny, nx)."""
-    out: Float = scipy.fft.dctn(np.pad(gain, (0, 1)), type=1) / (4 * gain.size)
-    return out
+    return np.asarray(scipy.fft.dctn(np.pad(gain, (0, 1)), type=1) / (4 * gain.size))
 
 
 def _squared_response(gain: Float) -> Float:
@@ -135,5 +134,4 @@ def hole_variance(spectrum: Float) -> Float:
     curve = 0.5 * (covariance[0, :side] + covariance[:side, 0])
     bend = max(2.0 * (curve[0] - curve[1]), 1e-30)
     known = curve**2 / max(curve[0], 1e-30) + np.gradient(curve) ** 2 / bend
-    out: Float = np.maximum.accumulate(np.maximum(curve[0] - known, 0.0))
-    return out
+    return np.asarray(np.maximum.accumulate(np.maximum(curve[0] - known, 0.0)))

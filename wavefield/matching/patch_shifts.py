@@ -1,5 +1,7 @@
 """Displacements of large image patches by normalised correlation, far beyond the range of `match`."""
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ MAX_SECOND_BEST = 0.85  # second-largest over largest correlation, above which t
 # widened by this plus a quarter of its span
 TOLERANCE_PX = 12.0
 
-Float = NDArray[np.float32]
+Float = NDArray[Any]
 
 
 def widened(ends: tuple[float, float]) -> tuple[float, float]:
@@ -36,7 +38,8 @@ def shifts(a: Float, b: Float, reach: tuple[int, int] = (REACH_PX, REACH_PX)) ->
     if min(height, width) < 4 * PATCH_PX:
         return np.zeros((0, 4))
     contrast = 0.2 * float(a.std())
-    one, other = _half(a), _half(b)
+    half = width // 2, height // 2  # each pixel is the mean of 2 x 2 px
+    one, other = (cv2.resize(image, half, interpolation=cv2.INTER_AREA) for image in (a, b))
     out = []
     for y in np.linspace(0, height - PATCH_PX, PATCHES_ACROSS).astype(int).tolist():
         for x in np.linspace(0, width - PATCH_PX, PATCHES_ACROSS).astype(int).tolist():
@@ -44,13 +47,6 @@ def shifts(a: Float, b: Float, reach: tuple[int, int] = (REACH_PX, REACH_PX)) ->
                 dx, dy = _found(one, other, (x // 2, y // 2), (reach[0] // 2, reach[1] // 2))
                 out.append((2 * dx, 2 * dy, x + 0.5 * (PATCH_PX - 1), y + 0.5 * (PATCH_PX - 1)))
     return np.array(out, float).reshape(-1, 4)
-
-
-def _half(image: Float) -> Float:
-    """Return an image with half as many rows and columns, each pixel the mean of 2 x 2 px."""
-    height, width = image.shape
-    small = cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
-    return np.asarray(small, np.float32)
 
 
 def _correlations(patch: Float, around: Float) -> Float:
@@ -93,5 +89,4 @@ def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
     Two agree if they differ by less than 12 px plus 25 % of their length. NaN are left out."""
     moved = moved[np.isfinite(moved[:, 0])]
     apart = np.hypot(*(moved[:, None] - moved).T) - TOLERANCE_PX - 0.25 * np.hypot(*moved.T)
-    out: NDArray[np.float64] = moved[(apart < 0).sum(axis=0) > 1]
-    return out
+    return np.asarray(moved[(apart < 0).sum(axis=0) > 1])

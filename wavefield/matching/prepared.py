@@ -130,7 +130,8 @@ class Mask:
             part = cv2.resize(usable[: 2 * h, : 2 * w] * np.uint8(255), (w, h), interpolation=cv2.INTER_AREA)
             usable = (part > 250).astype(np.uint8)
             levels.append(_usable_blocks(usable, number))
-        return Mask(good, tuple(levels), usable_share(good, settings.normalization))
+        share = NormalizationCells(good, settings.normalization).local(0)
+        return Mask(good, tuple(levels), np.maximum(share, MIN_USABLE_SHARE))
 
 
 def prepare(
@@ -251,8 +252,7 @@ def _replicate_border(padded: np.ndarray) -> None:
     padded[-PAD:] = padded[-PAD - 1]
 
 
-# Local normalisation takes two passes. The first sums over square cells; the second normalises the image,
-# with mean and scale interpolated between the cells. As in kernels.py, loops run along rows.
+# Normalisation sums over the cells, then interpolates mean and scale between them. Loops run along rows.
 
 
 @njit
@@ -360,8 +360,7 @@ class NormalizationCells:
         mean = self.sums[number] * _inverse_area(self.image.shape, self.side)
         # subtract the blur that is there already: 1/12 by averaging over cells, 1/6 by linear interpolation
         sigma = np.sqrt((self.width / self.side) ** 2 - 0.25)
-        out: np.ndarray = cv2.GaussianBlur(mean, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
-        return out
+        return np.asarray(cv2.GaussianBlur(mean, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE))
 
     def normalized(self, share: np.ndarray | None, out: np.ndarray) -> None:
         """Write the normalised image inside the border of `out`.
@@ -389,13 +388,6 @@ class NormalizationCells:
         cv2.resize(field, (n, ny), dst=out[:, :n], interpolation=cv2.INTER_LINEAR)
         out[:, n:] = out[:, n - 1 : n]
         return out
-
-
-def usable_share(usable: np.ndarray, width: float) -> np.ndarray:
-    """Return the usable fraction of pixels around each cell, (ny, nx), but at least 0.001.
-    `usable` (h, w) is 1 for usable pixels; `width`, px, is the standard deviation of the Gaussian window."""
-    out: np.ndarray = np.maximum(NormalizationCells(usable, width).local(0), MIN_USABLE_SHARE)
-    return out
 
 
 def _side(h: int, w: int, width: float) -> int:

@@ -2,8 +2,7 @@
 
 `match` starts on the coarsest level (from a search over whole pixels, if the settings give ranges) and takes
 Gauss-Newton steps on every level. `_assess` then decides which blocks are valid. For the MAP field,
-`reevaluate` or `scores_at` later computes the scores and Hessians of the blocks again, at a better
-displacement.
+`reevaluate` or `scores_at` evaluates the blocks again at a better displacement.
 """
 
 from __future__ import annotations
@@ -360,7 +359,9 @@ def _reasons(
     inside, weight = np.empty((2, *u.shape), np.float32)
     block_weights(NO_MASK, NO_MASK, u, v, *shape, inside)
     block_weights(pair.a.good, pair.b.good, u, v, *shape, weight)
-    least = F(max(settings.min_gradient_energy * _sparse_median(energy, weight > 0), 1e-12))
+    sparse = energy[::3, ::3][weight[::3, ::3] > 0]  # every third block suffices for a median
+    typical = float(np.median(sparse)) if sparse.size else 0.0
+    least = F(max(settings.min_gradient_energy * typical, 1e-12))
     rejected = {
         Reason.EDGE: inside == 0,
         Reason.MASKED: (weight == 0) & (inside > 0),
@@ -378,9 +379,3 @@ def _reasons(
     for bit, blocks in rejected.items():
         reason[blocks] |= np.uint8(bit)
     return reason
-
-
-def _sparse_median(field: np.ndarray, usable: np.ndarray) -> float:
-    """Return the median of a field over every third `usable` block along x and y; 0 if there is none."""
-    every_third = field[::3, ::3][usable[::3, ::3]]
-    return float(np.median(every_third)) if every_third.size else 0.0

@@ -164,5 +164,4 @@ class Displacement:
     @property
     def valid(self) -> np.ndarray:
         """Mask (ny, nx), True for blocks with a valid displacement."""
-        out: np.ndarray = self.reason == 0
-        return out
+        return np.asarray(self.reason == 0)

@@ -202,7 +202,8 @@ class WavenumberRings:
         These are the first three; those before the first with a ratio below 0.3; and any below 2 rad per
         block in which the ratio exceeds 1.5, both alone and averaged with its two neighbours."""
         occupied = self.count > 0
-        last = self.count_until_false(occupied & (ratio > DETECTED_SIGNAL_TO_NOISE))
+        below = np.flatnonzero(~(occupied & (ratio > DETECTED_SIGNAL_TO_NOISE)))
+        last = max(int(below.min(initial=RINGS)), 3)
         total, count = (np.convolve(f, np.ones(3), mode="same") for f in (ratio * self.count, self.count))
         least = np.minimum(ratio, total / np.maximum(count, 1))
         beyond_gap = occupied & (self.middle < SHORTEST_WAVENUMBER) & (least > MIN_RING_SIGNAL_TO_NOISE)
@@ -219,16 +220,10 @@ class WavenumberRings:
             return np.ones(RINGS)
         return np.asarray(np.interp(np.arange(RINGS), known, total[known] / weight[known]))
 
-    @staticmethod
-    def count_until_false(flags: NDArray[np.bool_]) -> int:
-        """Return the number of flags before the first False, but at least 3."""
-        return max(int(np.argmin(flags)) if not flags.all() else len(flags), 3)
-
 
 def footprint(kx: np.ndarray, ky: np.ndarray, variance: float = FOOTPRINT_VARIANCE) -> np.ndarray:
     """Return the gain of averaging over a Gaussian area of this variance, px^2, at kx, ky, rad per block."""
-    out: np.ndarray = np.exp(-0.5 * variance * (np.square(kx) + np.square(ky)) / BLOCK**2)
-    return out
+    return np.asarray(np.exp(-0.5 * variance * (np.square(kx) + np.square(ky)) / BLOCK**2))
 
 
 def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
@@ -256,7 +251,8 @@ def first_prior(fields: Sequence[Float], information: float, area: float = FOOTP
     The fields must have no holes and no slopes at the edges (`edge_field`). `information` is the typical
     inverse variance of a block's value; `area`, px^2, is that of `Prior`."""
     binning = WavenumberRings(*wavenumbers(fields[0].shape[-2:]))
-    power = np.mean([np.square(_cosine_coefficients(f)).mean(axis=0) for f in fields], axis=0)
+    waves = [scipy.fft.dctn(f.astype(np.float64), axes=(-2, -1), norm="ortho", workers=1) for f in fields]
+    power = np.mean([np.square(one).mean(axis=0) for one in waves], axis=0)
     return Prior.isotropic(binning.k, binning.mean(power).tolist(), information, area)
 
 
@@ -426,10 +422,4 @@ def _extrapolated(
     slope = float(np.clip(slope, *SLOPE_RANGE))
     out[last:] = out[last - 1] * (k[last:] / k[last - 1]) ** slope
     out[last:] = np.minimum.accumulate(np.minimum(out, upper_limit)[last:])
-    return out
-
-
-def _cosine_coefficients(field: Float) -> NDArray[Any]:
-    """Return the orthonormal cosine coefficients of a field (c, ny, nx) along y and x, (c, ny, nx)."""
-    out: NDArray[Any] = scipy.fft.dctn(np.asarray(field, np.float64), axes=(-2, -1), norm="ortho", workers=1)
     return out
