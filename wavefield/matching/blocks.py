@@ -53,18 +53,13 @@ def smoothed(
     With `weighting` from `smoother_weights`, G is the weighted mean G(w f) / G(w)."""
     if sigma == 0:
         return field
-    g = gaussian(sigma)
-    part = np.empty_like(field)
-    if weighting is None:
-        rest = field - filtered(field, g, part)
-        for _ in range(order - 1):
+    g, part, rest = gaussian(sigma), np.empty_like(field), field.copy()
+    for _ in range(order):
+        if weighting is None:
             rest -= filtered(rest, g, part)
-    else:
-        weight, norm = weighting
-        rest, product = field.copy(), field * weight
-        for _ in range(order):
-            rest -= norm * filtered(product, g, part)
-            np.multiply(weight, rest, out=product)
+        else:
+            weight, norm = weighting
+            rest -= norm * filtered(weight * rest, g, part)
     return np.asarray(np.subtract(field, rest, out=rest))
 
 
@@ -244,9 +239,9 @@ def block_weights(
             out[j, i] = F(1) if usable else F(0)
 
 
-# Blocks up to five apart share beads, so the noise of their scores is correlated. It is therefore measured
-# from sums of the scores over clusters of 5 x 5 blocks.
-CLUSTER = 5  # blocks along each side: the noise of closer blocks is correlated, because they share beads
+# Blocks along each side of the clusters over which scores are summed to measure their noise. The noise of
+# closer blocks is correlated, because they share beads.
+CLUSTER = 5
 SMOOTHING_RADIUS = 6.0  # blocks: standard deviation of the Gaussian that averages the noise
 HOLE_INFORMATION = 0.15  # a hole has less than this fraction of the typical information, over 7 x 7 blocks
 # largest squared score of a cluster over its expected value; noise (an exponential variable) exceeds it once

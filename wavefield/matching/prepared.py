@@ -175,14 +175,14 @@ def prepare(
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         image = image.astype(np.float32)
     h, w = image.shape
-    padded = _padded(h, w)
+    padded = np.empty((h + 2 * PAD, w + 2 * PAD), np.float32)
     mask = _normalize(image, mask, settings, padded)
     levels: list[Level] = []
     for number in range(level_count(image.shape, settings.levels)):
         if number:
             even = levels[-1].image[: h // 2 * 2, : w // 2 * 2]
             h, w = h // 2, w // 2
-            padded = _padded(h, w)
+            padded = np.empty((h + 2 * PAD, w + 2 * PAD), np.float32)
             cv2.resize(even, (w, h), dst=padded[PAD:-PAD, PAD:-PAD], interpolation=cv2.INTER_AREA)
         _replicate_border(padded)
         levels.append(Level(padded, NO_MASK if mask is None else mask.levels[number]))
@@ -231,10 +231,6 @@ def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.nda
     patch = np.ones((BLOCK, BLOCK), np.uint8)
     middles = cv2.erode(bright, patch)
     return cv2.dilate(middles, patch) > 0 if cv2.countNonZero(middles) else None
-
-
-def _padded(h: int, w: int) -> np.ndarray:
-    return np.empty((h + 2 * PAD, w + 2 * PAD), np.float32)
 
 
 def _usable_blocks(good: np.ndarray, level: int) -> np.ndarray:

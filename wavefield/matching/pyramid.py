@@ -62,9 +62,8 @@ def match(
     a, b : (h, w) array, or PreparedImage
         The two images. Call `prepare` first for an image that has a mask or is matched several times.
     settings : MatchSettings, optional
-        Default: `MatchSettings.piv()`, which searches 16 px in each direction. For larger displacements set
-        `search_x` and `search_y`; for few or faint particles a larger `window` and a lower
-        `min_correlation`.
+        Default: `MatchSettings.piv()`, which searches 16 px in each direction. For few or faint particles set
+        a larger `window` and a lower `min_correlation`.
 
     Returns
     -------

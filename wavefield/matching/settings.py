@@ -135,12 +135,10 @@ class Displacement:
         The settings of this match.
     score : (2, ny, nx) float32
         Sums over every block of gx r and gy r, with gx, gy the gradients of image a and r = a - b the
-        residual at this displacement. The score is zero if the displacement minimises the squared residual of
-        the block alone.
+        residual at this displacement.
     hessian : (3, ny, nx) float32
         Sums over every block of gx gx, gx gy, gy gy, times the fraction of the gradient energy that both
-        images share. The inverse of this 2 x 2 matrix times the score is the correction of the displacement
-        that the block alone gives.
+        images share.
     """
 
     u: np.ndarray
