@@ -131,10 +131,10 @@ def _pairs_table(prepared: PreparedRun) -> str:
         return "  pairs: no step around the middle of the record has a usable frame of every camera"
     lines = [f"  pairs, one step in the middle, rms; 1 px is {1e3 * pixel:.2g} mm"]
     rows = found.table()
-    width = max(len(row["name"]) for row in rows)
-    for row in rows:
-        centimetres = "" if row["cm"] is None else f"{row['cm']:.4f} cm"
-        lines.append(f"    {row['name']:<{width}} {centimetres:>10} {row['px']:.3f} px")
+    width = max(len(name) for name, _, _ in rows)
+    for name, cm, px in rows:
+        centimetres = "" if cm is None else f"{cm:.4f} cm"
+        lines.append(f"    {name:<{width}} {centimetres:>10} {px:.3f} px")
     noise = ", ".join(f"{name} {value / pixel:.3f}" for name, value in found.noise.items())
     lines.append(f"  standard uncertainty, two frames, px: {noise}")
     carried = ", ".join(f"{name} {100 * length:.1f}" for name, length in found.carried.items())

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wavefield.measurement.displacement import flows
-from wavefield.measurement.elevation import PairMatch, PreparedImages, match_pair, surface, windowed
+from wavefield.measurement.elevation import PairMatch, match_pair, surface, windowed
 from wavefield.measurement.geometry import GridGeometry
 from wavefield.measurement.images import Images, images_of
 from wavefield.measurement.model import Model, shortest_carried
@@ -59,34 +59,28 @@ class Diagnosis:
         """Displacement from one pair minus that from another, (3, ny, nx), metres; for every two pairs."""
         return {(p, q): self.moved[p] - self.moved[q] for p, q in combinations(self.moved, 2)}
 
-    def table(self) -> list[dict[str, Any]]:
-        """Return a table with the rms of every error.
-        A row has its ``name``; the rms in ``cm`` (None for errors measured in the images) and ``px``; and
-        ``share``, the fraction of nodes or blocks beyond three times the rms, which the rms excludes."""
-        rows = []
+    def table(self) -> list[tuple[str, float | None, float]]:
+        """Return the name of every error and its rms without outliers (`rms_within`), in cm and in px.
+        The rms in cm is None for errors measured in the images."""
+        rows: list[tuple[str, float | None, float]] = []
+
+        def add(name: str, rms: float) -> None:
+            rows.append((name, 100.0 * rms, rms / self.pixel))
+
         for pair, values in self.eps_y.items():
-            rows.append(self._row(f"eps_y {joined(pair)}", values))
-            rows.append({"name": f"sigma_z {joined(pair)}", **self._units(self.z_std[pair]), "share": None})
+            add(f"eps_y {joined(pair)}", rms_within(values)[0])
+            add(f"sigma_z {joined(pair)}", self.z_std[pair])
         for (one, other), values in self.difference.items():
-            name = f"(z {joined(one)} - z {joined(other)}) / sqrt 2"
-            rows.append(self._row(name, values / np.sqrt(2.0)))
+            add(f"(z {joined(one)} - z {joined(other)}) / sqrt 2", rms_within(values / np.sqrt(2.0))[0])
         for pair, values in self.recombined.items():
-            rows.append(self._row(f"z {joined(pair)} recombined - direct", values))
+            add(f"z {joined(pair)} recombined - direct", rms_within(values)[0])
         for cameras, values in self.eps_piv.items():
-            rms, share = rms_within(values)
-            rows.append({"name": f"eps' {joined(cameras)}", "cm": None, "px": rms, "share": share})
+            rows.append((f"eps' {joined(cameras)}", None, rms_within(values)[0]))
         for (one, other), values in self.moved_difference.items():
             for axis, part in zip("xyz", np.moveaxis(values, -3, 0)):
                 name = f"(d{axis} {joined(one)} - d{axis} {joined(other)}) / sqrt 2"
-                rows.append(self._row(name, part / np.sqrt(2.0)))
+                add(name, rms_within(part / np.sqrt(2.0))[0])
         return rows
-
-    def _row(self, name: str, values: NDArray[Any]) -> dict[str, Any]:
-        rms, share = rms_within(values)
-        return {"name": name, **self._units(rms), "share": share}
-
-    def _units(self, metres: float) -> dict[str, float]:
-        return {"cm": 100.0 * metres, "px": metres / self.pixel}
 
 
 def joined(cameras: Sequence[str]) -> str:
@@ -126,7 +120,9 @@ def diagnose(
     surfaces = [surface(one, geometry, model.elevation) for one in (flat, second.rectified())]
     if surfaces[0] is None or surfaces[1] is None:
         raise ValueError("the frames cannot be matched: nothing to compare with")
-    matches = _matched(flat, geometry)
+    # each pair of the geometry (reference and another camera), and each two of the other cameras
+    pairs = [*geometry.pairs, *combinations([b for _, b in geometry.pairs], 2)]
+    matches = {(a, b): match_pair(flat[a], flat[b], (a, b), geometry) for a, b in pairs}
     eps_y = {pair: match.eps_y[match.matched] for pair, match in matches.items()}
     lengths = {pair: np.hypot(*match.parallax)[match.matched] for pair, match in matches.items()}
     z_std = {pair: rms_within(eps_y[pair] / lengths[pair])[0] for pair in matches}
@@ -183,12 +179,6 @@ def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / np.hypot(*parallax)
     rejected, matched = one.rejected | other.rejected, one.matched & other.matched
     return PairMatch(one.pair, d, parallax, eps_y, rejected, matched, one.found)  # on the lattice of `one`
-
-
-def _matched(flat: PreparedImages, geometry: GridGeometry) -> dict[Pair, PairMatch]:
-    """Match each pair of the geometry (reference and another camera), and each two of the other cameras."""
-    pairs = [*geometry.pairs, *combinations([b for _, b in geometry.pairs], 2)]
-    return {(a, b): match_pair(flat[a], flat[b], (a, b), geometry) for a, b in pairs}
 
 
 def _moved(

@@ -34,7 +34,6 @@ from wavefield.measurement.paths import (
     noise_of_displacements,
     path_gain,
 )
-from wavefield.measurement.regrid import BlockLattice
 from wavefield.measurement.velocity import MIN_NODES
 from wavefield.rig.field import pixel_at
 from wavefield.variables import EXACT_SIX, PATH_WEIGHTS, frames_of_path
@@ -263,7 +262,11 @@ def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeo
     for name, one in found.items():
         sight = geometry.sights[name]
         x, y, *jacobian = sight.at(z).reshape(8, -1)
-        columns, rows, inside = blocks_at(sight.lattice, x, y)
+        ny, nx = sight.lattice.shape
+        rows = np.rint((y - sight.lattice.y0) / sight.lattice.step)
+        columns = np.rint((x - sight.lattice.x0) / sight.lattice.step)
+        inside = (rows >= 0) & (rows < ny) & (columns >= 0) & (columns < nx)
+        rows, columns = rows.clip(0, ny - 1).astype(np.intp), columns.clip(0, nx - 1).astype(np.intp)
         xx, xy, yy = one.found.hessian[:, rows, columns]
         scale = 1.0 / np.sqrt(np.maximum(xx + yy, 1e-30), dtype=np.float64)
         usable = inside & one.found.valid[rows, columns] & (xx + yy > 0)
@@ -287,17 +290,6 @@ def ripple_rise(shared: float, total: float) -> float:
     """Return the standard deviation of the ripples' rise per frame, m; 0 without significant ripples.
     `shared` and `total` are the results of `shared_motion`."""
     return float(np.sqrt(shared / SEEN_BY_BLOCKS)) if shared > MIN_SHARED * total else 0.0
-
-
-def blocks_at(
-    lattice: BlockLattice, x: Float, y: Float
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-    """Return column and row of the block nearest to each point x, y (n,), and a mask of points inside.
-    Points are inside if they lie on the lattice; x and y are in its unit."""
-    ny, nx = lattice.shape
-    column, row = (np.rint((v - v0) / lattice.step) for v, v0 in ((x, lattice.x0), (y, lattice.y0)))
-    inside = (column >= 0) & (column < nx) & (row >= 0) & (row < ny)
-    return column.clip(0, nx - 1).astype(np.intp), row.clip(0, ny - 1).astype(np.intp), inside
 
 
 def covariance(A: Float, B: Float) -> Float:

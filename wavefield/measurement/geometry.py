@@ -1,7 +1,7 @@
 """`GridGeometry`: everything that follows from rig, grid and settings alone, computed once for all frames.
 
 For every camera, `Sight` gives the image position of the nodes at any elevation, and `RectifiedView` the maps
-that rectify its images to the plane z = 0 (`RectifiedPlane`), in apparent positions of the reference camera.
+that rectify its images to the plane z = 0, in apparent positions of the reference camera.
 """
 
 from __future__ import annotations
@@ -90,21 +90,6 @@ _LENS_BLUR_PX = 0.6  # standard deviation of the blur of a usual lens
 
 
 @dataclass(frozen=True)
-class RectifiedPlane:
-    """Grid of the pixels of all rectified images, on the plane z = 0."""
-
-    origin: tuple[float, float]  # x, y of the first pixel, metres
-    pixel: float  # side of a pixel, metres
-    shape: tuple[int, int]  # number of blocks (ny, nx)
-
-    @property
-    def lattice(self) -> BlockLattice:
-        """Lattice of the centres of the blocks, metres."""
-        x, y = (first + 0.5 * (BLOCK - 1) * self.pixel for first in self.origin)
-        return BlockLattice(x, y, BLOCK * self.pixel, self.shape)
-
-
-@dataclass(frozen=True)
 class RectifiedView:
     """Maps, masks and blur with which the images of one camera are rectified to the plane z = 0."""
 
@@ -117,10 +102,11 @@ class RectifiedView:
 
 def fit_plane(
     cameras: Sequence[Camera], x: Float, y: Float, z_range: tuple[float, float], pixel: float
-) -> RectifiedPlane:
+) -> tuple[tuple[float, float], tuple[int, int]]:
     """Choose the rectangle on z = 0 that images are rectified to; the first camera is the reference.
-    It contains the apparent positions of those nodes x, y (ny, nx) that two cameras see, at any z in
-    `z_range`; `pixel` is in metres."""
+    Returns the position (x, y) of its first pixel, metres, and its number of blocks (ny, nx). It contains the
+    apparent positions of those nodes x, y (ny, nx) that two cameras see, at any z in `z_range`. The side of a
+    `pixel` is in metres."""
     if min(x.shape) < _MIN_NODES:
         raise RigError(
             f"the grid has {x.shape[1]} x {x.shape[0]} nodes, and slopes need {_MIN_NODES} along each side: "
@@ -151,7 +137,7 @@ def fit_plane(
         )
     nx, ny = (int(scipy.fft.next_fast_len(int(n) + 2 * _MARGIN_BLOCKS)) for n in blocks)
     x0, y0 = 0.5 * (lo + hi) - 0.5 * pixel * (np.array([nx, ny]) * BLOCK - 1)
-    return RectifiedPlane((float(x0), float(y0)), pixel, (ny, nx))
+    return (float(x0), float(y0)), (ny, nx)
 
 
 def _reach(camera: Camera, edge: Float) -> Float:
@@ -164,16 +150,20 @@ def _reach(camera: Camera, edge: Float) -> Float:
 
 
 def rectified_views(
-    sights: Mapping[str, Sight], plane: RectifiedPlane, middle: tuple[float, float], stereo: MatchSettings
+    sights: Mapping[str, Sight],
+    x: Float,
+    y: Float,
+    pixel: float,
+    middle: tuple[float, float],
+    stereo: MatchSettings,
 ) -> dict[str, RectifiedView]:
-    """Return, by camera, its view of the rectified `plane`; `middle` (x, y) of the grid is in metres.
-    `stereo` are the settings of matching between cameras."""
-    blur = _blur(sights, plane.pixel, middle)
-    x, y = (first + plane.pixel * np.arange(n * BLOCK) for first, n in zip(plane.origin, plane.shape[::-1]))
+    """Return, by camera, its view of the rectified pixels at x (w,), y (h,), whose side is `pixel`; metres.
+    `middle` (x, y) of the grid is in metres; `stereo` are the settings of matching between cameras."""
+    blur, shape = _blur(sights, pixel, middle), (x.size // BLOCK, y.size // BLOCK)
     out = {}
     for name, sight in sights.items():
         X, Y, visible = sight_map(sight.camera, x, y)
-        blocks = cv2.resize(visible.astype(np.float32), plane.shape[::-1], interpolation=cv2.INTER_AREA)
+        blocks = cv2.resize(visible.astype(np.float32), shape, interpolation=cv2.INTER_AREA)
         out[name] = RectifiedView(
             (X, Y), visible, np.asarray(blocks, np.float32), Mask.of(visible, stereo), blur[name]
         )
@@ -276,13 +266,15 @@ class GridGeometry:
             binning = max(1, round(coarsest / pixel_at(rig[name], *self.middle)))
             self.sights[name] = Sight(rig[name], binning, self.x, self.y, self.z_range)
         cameras = [rig[name] for name in self.surface_cameras]
-        pixel = settings.pixel or self._fitting_pixel()
-        self.plane: RectifiedPlane = fit_plane(cameras, self.x, self.y, self.z_range, pixel)
+        # rectified images: side of a pixel, x and y of the first pixel, lattice of the blocks, all in metres
+        self.pixel = settings.pixel or self._fitting_pixel()
+        self.origin, shape = fit_plane(cameras, self.x, self.y, self.z_range, self.pixel)
+        x0, y0 = (first + 0.5 * (BLOCK - 1) * self.pixel for first in self.origin)
+        self.lattice = BlockLattice(x0, y0, BLOCK * self.pixel, shape)
+        x, y = (first + self.pixel * np.arange(n * BLOCK) for first, n in zip(self.origin, shape[::-1]))
         surface_sights = {name: self.sights[name] for name in self.surface_cameras}
         # maps and masks of every camera that measures z
-        self.views: dict[str, RectifiedView] = rectified_views(
-            surface_sights, self.plane, self.middle, settings.stereo
-        )
+        self.views = rectified_views(surface_sights, x, y, self.pixel, self.middle, settings.stereo)
         self.prepared_masks: dict[str, tuple[Pixels, Covered]] = {}  # the last mask of each camera
 
     def __reduce__(self) -> tuple[object, ...]:  # a process that loads the pickle computes the rest, once
@@ -319,16 +311,6 @@ class GridGeometry:
     def middle(self) -> tuple[float, float]:
         """Middle x, y of the grid, metres."""
         return 0.5 * (self.grid.x[0] + self.grid.x[1]), 0.5 * (self.grid.y[0] + self.grid.y[1])
-
-    @property
-    def pixel(self) -> float:
-        """Side of a pixel of the rectified images, metres."""
-        return self.plane.pixel
-
-    @property
-    def lattice(self) -> BlockLattice:
-        """Lattice of the blocks of the rectified images, metres, in apparent positions of the reference."""
-        return self.plane.lattice
 
     @cached_property
     def x(self) -> Float:

@@ -147,7 +147,7 @@ def _heights(
     Patches with a large epipolar error (a displacement that no elevation explains) are left out."""
     dx, dy, x, y = moved.T
     dx, dy = geometry.pixel * dx, geometry.pixel * dy
-    x, y = (origin + geometry.pixel * at for origin, at in zip(geometry.plane.origin, (x, y)))
+    x, y = (origin + geometry.pixel * at for origin, at in zip(geometry.origin, (x, y)))
     Ax, Ay = geometry.rig[pair[0]].sight_line(x, y)
     Bx, By = geometry.rig[pair[1]].sight_line(x + dx, y + dy)
     px, py = Bx - Ax, By - Ay
