@@ -68,24 +68,19 @@ class Diagnosis:
             rows.append((name, 100.0 * rms, rms / self.pixel))
 
         for pair, values in self.eps_y.items():
-            add(f"eps_y {joined(pair)}", rms_within(values)[0])
-            add(f"sigma_z {joined(pair)}", self.z_std[pair])
+            add(f"eps_y {'-'.join(pair)}", rms_within(values)[0])
+            add(f"sigma_z {'-'.join(pair)}", self.z_std[pair])
         for (one, other), values in self.difference.items():
-            add(f"(z {joined(one)} - z {joined(other)}) / sqrt 2", rms_within(values / np.sqrt(2.0))[0])
+            add(f"(z {'-'.join(one)} - z {'-'.join(other)}) / sqrt 2", rms_within(values / np.sqrt(2.0))[0])
         for pair, values in self.recombined.items():
-            add(f"z {joined(pair)} recombined - direct", rms_within(values)[0])
+            add(f"z {'-'.join(pair)} recombined - direct", rms_within(values)[0])
         for cameras, values in self.eps_piv.items():
-            rows.append((f"eps' {joined(cameras)}", None, rms_within(values)[0]))
+            rows.append((f"eps' {'-'.join(cameras)}", None, rms_within(values)[0]))
         for (one, other), values in self.moved_difference.items():
             for axis, part in zip("xyz", np.moveaxis(values, -3, 0)):
-                name = f"(d{axis} {joined(one)} - d{axis} {joined(other)}) / sqrt 2"
+                name = f"(d{axis} {'-'.join(one)} - d{axis} {'-'.join(other)}) / sqrt 2"
                 add(name, rms_within(part / np.sqrt(2.0))[0])
         return rows
-
-
-def joined(cameras: Sequence[str]) -> str:
-    """Return names of cameras joined by hyphens, such as "cam3-cam1"."""
-    return "-".join(cameras)
 
 
 def rms_within(values: NDArray[Any]) -> tuple[float, float]:

@@ -98,10 +98,8 @@ def map_displacement(
             if with_harmonics:
                 before, harmonic = harmonic, harmonics(modes.field(waves) + edges)
                 waves = waves - modes.waves(harmonic - before)
-                block_mean, not_in_modes = (
-                    modes.block_mean(waves),
-                    edges + averaged(harmonic, modes.prior.area),
-                )
+                block_mean = modes.block_mean(waves)
+                not_in_modes = edges + averaged(harmonic, modes.prior.area)
             u = block_mean + not_in_modes
             found = reevaluate(one, other, u[0], u[1], match.settings)
         counts = found.valid.astype(np.float32)

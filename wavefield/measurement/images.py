@@ -178,8 +178,7 @@ def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
             continue
         last = geometry.prepared_masks.get(name)
         if last is None or last[0] is not pixels:
-            last = pixels, _ready(pixels, name, geometry)
-            geometry.prepared_masks[name] = last
+            last = geometry.prepared_masks[name] = pixels, _ready(pixels, name, geometry)
         out[name] = last[1]
     return out
 

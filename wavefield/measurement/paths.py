@@ -381,7 +381,9 @@ def displacements_at_nodes(
         here = path[len(path) // 2]
         assert here is not None
         rejected[n] = np.where(visible, here.rejected.ravel()[block[2]], np.uint16(Quality.OUTSIDE))
-        frames = np.where(visible, np.minimum(frames, _places_read(block)), frames)
+        near, far = ((block[[2 - n, 2 + n]] >= 0).all(axis=0) for n in (1, 2))
+        positions = (2 + 2 * near + 2 * far).astype(np.uint8)  # along each path
+        frames = np.where(visible, np.minimum(frames, positions), frames)
     return CameraDisplacements(jacobian, moved, noise, missing, rejected, frames, chord, bend, axes)
 
 
@@ -424,9 +426,3 @@ def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: F
             if far:
                 total += w[0] * bb[i, block[0, k]] + w[4] * aa[i, block[4, k]]
             out[i, k] = total
-
-
-def _places_read(block: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return the number of positions along each path, 2, 4 or 6; `block` (5, ...) comes from `read_path`."""
-    near, far = (block[[2 - n, 2 + n]] >= 0 for n in (1, 2))
-    return np.asarray(2 + 2 * near.all(axis=0) + 2 * far.all(axis=0), np.uint8)

@@ -76,11 +76,6 @@ class Settings:
         Matching between cameras; its search range is set from z_range.
     piv : matching.MatchSettings
         Matching from frame to frame.
-
-    Examples
-    --------
-    >>> Settings(pairs=(("cam3", "cam1"), ("cam3", "cam2")), z_range=(-0.05, 0.05)).z_range
-    (-0.05, 0.05)
     """
 
     __pydantic_config__ = CHECKED

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from wavefield.errors import WavefieldError
 from wavefield.execution.cluster import threads_here
 from wavefield.execution.process import one_opencv_thread
-from wavefield.measurement.diagnostics import Diagnosis, diagnose, joined, rms_within
+from wavefield.measurement.diagnostics import Diagnosis, diagnose, rms_within
 from wavefield.measurement.error_budget import fast_waves, ripples
 from wavefield.pipeline.chunk import make_chunk, measure_chunk
 from wavefield.pipeline.learning import both_frames, learn_record, samples
@@ -224,17 +224,17 @@ def _errors(found: Diagnosis) -> Iterator[tuple[str, str, str, NDArray[np.float6
     """Yield every error between cameras at one step: quantity ("eps_y"), cameras, units and values.
     The values have any shape, NaN where not measured."""
     for pair, values in found.eps_y.items():
-        yield "eps_y", joined(pair), "m", values
-        yield "sigma_z", joined(pair), "m", np.array([found.z_std[pair]])
+        yield "eps_y", "-".join(pair), "m", values
+        yield "sigma_z", "-".join(pair), "m", np.array([found.z_std[pair]])
     for one, other in combinations(found.z, 2):
-        yield "z", f"{joined(one)} minus {joined(other)}", "m", found.z[one] - found.z[other]
+        yield "z", f"{'-'.join(one)} minus {'-'.join(other)}", "m", found.z[one] - found.z[other]
     for pair, values in found.recombined.items():
-        yield "z_recombined", joined(pair), "m", values
+        yield "z_recombined", "-".join(pair), "m", values
     for names, values in found.eps_piv.items():
-        yield "eps_piv", joined(names), "pixel", values
+        yield "eps_piv", "-".join(names), "pixel", values
     for (one, other), moved in found.moved_difference.items():
         for name, values in zip(("dx", "dy", "dz"), np.moveaxis(moved, -3, 0)):
-            yield name, f"{joined(one)} minus {joined(other)}", "m", values
+            yield name, f"{'-'.join(one)} minus {'-'.join(other)}", "m", values
 
 
 def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
