@@ -99,8 +99,8 @@ def test_check_reports_that_the_cameras_agree(checked):
 def test_check_compares_the_pairs_of_cameras(folder, checked):
     out = checked
     found = dict(re.findall(r"^    (\S.*?)\s+(?:[\d.]+ cm )?([\d.]+) px$", out, re.M))
-    assert {"eps_y cam3-cam1", "sigma_z cam1-cam2", "z cam1-cam2 recombined - direct"} <= set(found)
-    assert 0 < float(found["eps' cam1-cam2"]) < 0.2
+    assert {"eps_y cam3-cam1", "sigma_z cam1-cam2", "z_recombined cam1-cam2"} <= set(found)
+    assert 0 < float(found["eps_piv cam1-cam2"]) < 0.2
     assert re.search(r"standard uncertainty.* z 0\.\d+, dx 0\.\d+, dy 0\.\d+, dz 0\.\d+\n", out)
     assert re.search(r"half the amplitude is kept, cm: z \d+\.\d, u \d+\.\d, v \d+\.\d, w \d+\.\d\n", out)
     report = (folder / "report.html").read_text(encoding="utf-8")

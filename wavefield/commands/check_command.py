@@ -118,7 +118,7 @@ def _next(found: Check, source: Path, rig: Path | None) -> None:
 def _pairs_table(prepared: PreparedRun) -> str:
     """Return a text table of differences between pairs of cameras, in a step near the middle of the record.
     Below it are standard uncertainties, shortest resolved wavelengths, and the width of the beads' images."""
-    from wavefield.measurement.diagnostics import diagnose_around
+    from wavefield.measurement.diagnostics import diagnose_around, rms_within
     from wavefield.rig.field import pixel_size
 
     pixel = pixel_size(prepared.rig, prepared.grid)
@@ -126,15 +126,19 @@ def _pairs_table(prepared: PreparedRun) -> str:
     steps = min(len(prepared.series[name]) for name in prepared.geometry.cameras) - 1
 
     read = prepared.read_uncovered
-    found = diagnose_around(read, steps, prepared.geometry, prepared.model, middle, pixel)
+    found = diagnose_around(read, steps, prepared.geometry, prepared.model, middle)
     if found is None:
         return "  pairs: no step around the middle of the record has a usable frame of every camera"
     lines = [f"  pairs, one step in the middle, rms; 1 px is {1e3 * pixel:.2g} mm"]
-    rows = found.table()
-    width = max(len(name) for name, _, _ in rows)
-    for name, cm, px in rows:
-        centimetres = "" if cm is None else f"{cm:.4f} cm"
-        lines.append(f"    {name:<{width}} {centimetres:>10} {px:.3f} px")
+    rows = {}
+    for quantity, cameras, unit, values in found.errors():
+        name, rms = f"{quantity} {cameras}", rms_within(values)[0]
+        if " minus " in cameras:  # two errors add up in a difference
+            name, rms = f"({name}) / sqrt 2", rms / 2**0.5
+        cm, px = (f"{100 * rms:.4f} cm", rms / pixel) if unit == "m" else ("", rms)
+        rows[name] = f"{cm:>10} {px:.3f} px"
+    width = max(map(len, rows))
+    lines += [f"    {name:<{width}} {text}" for name, text in rows.items()]
     noise = ", ".join(f"{name} {value / pixel:.3f}" for name, value in found.noise.items())
     lines.append(f"  standard uncertainty, two frames, px: {noise}")
     carried = ", ".join(f"{name} {100 * length:.1f}" for name, length in found.carried.items())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -31,7 +31,6 @@ MAX_TRIED_STEPS = 12  # steps that are tried, nearest first, if frames are missi
 class Diagnosis:
     """Differences between cameras and pairs of cameras in one step; NaN where not measured."""
 
-    pixel: float  # length that counts as one pixel, metres
     # (ny, nx): elevation at the first frame from each pair alone, metres; pairs are those of the geometry,
     # which contain the reference, and the direct pairs of the other cameras
     z: dict[Pair, NDArray[Any]]
@@ -49,38 +48,21 @@ class Diagnosis:
     noise: dict[str, float]  # median standard uncertainty of z and of dx, dy, dz per step, metres
     widths: dict[str, float]  # width of the beads in the images of every camera, px; 0 for a texture
 
-    @property
-    def difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
-        """Elevation by one pair of cameras minus that by another, (ny, nx), metres; for every two pairs."""
-        return {(p, q): self.z[p] - self.z[q] for p, q in combinations(self.z, 2)}
-
-    @property
-    def moved_difference(self) -> dict[tuple[Pair, Pair], NDArray[Any]]:
-        """Displacement from one pair minus that from another, (3, ny, nx), metres; for every two pairs."""
-        return {(p, q): self.moved[p] - self.moved[q] for p, q in combinations(self.moved, 2)}
-
-    def table(self) -> list[tuple[str, float | None, float]]:
-        """Return the name of every error and its rms without outliers (`rms_within`), in cm and in px.
-        The rms in cm is None for errors measured in the images."""
-        rows: list[tuple[str, float | None, float]] = []
-
-        def add(name: str, rms: float) -> None:
-            rows.append((name, 100.0 * rms, rms / self.pixel))
-
+    def errors(self) -> Iterator[tuple[str, str, str, NDArray[Any]]]:
+        """Yield every error between cameras: quantity ("eps_y"), cameras, unit ("m", "pixel") and values.
+        The values have any shape, NaN where not measured."""
         for pair, values in self.eps_y.items():
-            add(f"eps_y {'-'.join(pair)}", rms_within(values)[0])
-            add(f"sigma_z {'-'.join(pair)}", self.z_std[pair])
-        for (one, other), values in self.difference.items():
-            add(f"(z {'-'.join(one)} - z {'-'.join(other)}) / sqrt 2", rms_within(values / np.sqrt(2.0))[0])
+            yield "eps_y", "-".join(pair), "m", values
+            yield "sigma_z", "-".join(pair), "m", np.array([self.z_std[pair]])
+        for one, other in combinations(self.z, 2):
+            yield "z", f"{'-'.join(one)} minus {'-'.join(other)}", "m", self.z[one] - self.z[other]
         for pair, values in self.recombined.items():
-            add(f"z {'-'.join(pair)} recombined - direct", rms_within(values)[0])
+            yield "z_recombined", "-".join(pair), "m", values
         for cameras, values in self.eps_piv.items():
-            rows.append((f"eps' {'-'.join(cameras)}", None, rms_within(values)[0]))
-        for (one, other), values in self.moved_difference.items():
-            for axis, part in zip("xyz", np.moveaxis(values, -3, 0)):
-                name = f"(d{axis} {'-'.join(one)} - d{axis} {'-'.join(other)}) / sqrt 2"
-                add(name, rms_within(part / np.sqrt(2.0))[0])
-        return rows
+            yield "eps_piv", "-".join(cameras), "pixel", values
+        for one, other in combinations(self.moved, 2):
+            for name, values in zip(("dx", "dy", "dz"), self.moved[one] - self.moved[other]):
+                yield name, f"{'-'.join(one)} minus {'-'.join(other)}", "m", values
 
 
 def rms_within(values: NDArray[Any]) -> tuple[float, float]:
@@ -98,14 +80,13 @@ def diagnose(
     frames: Frames,
     geometry: GridGeometry,
     model: Model | None = None,
-    pixel: float | None = None,
     masks: Frames | None = None,
 ) -> Diagnosis:
     """Compare elevation and motion between the pairs of cameras, in one step.
 
     `frames` are both frames of each camera, `masks` True on pixels to ignore. `model` is learned from these
-    frames if None. `pixel` is the length that counts as one pixel, metres; None: that of the rectified
-    images. ValueError if a frame is missing or unusable, if nothing can be matched, or for a light sheet.
+    frames if None. ValueError if a frame is missing or unusable, if nothing can be matched, or for a light
+    sheet.
     """
     if geometry.z_is_known:
         raise ValueError("cameras of a light sheet are not matched with each other: no pairs to compare")
@@ -132,7 +113,6 @@ def diagnose(
     z_variance = surfaces[0].noise + surfaces[0].missing + surfaces[0].epipolar ** 2
     noise = {"z": float(np.sqrt(np.median(z_variance)))} | dict(zip(("dx", "dy", "dz"), d_std))
     return Diagnosis(
-        pixel or geometry.pixel,
         z,
         eps_y,
         z_std,
@@ -212,14 +192,13 @@ def diagnose_around(
     geometry: GridGeometry,
     model: Model | None,
     middle: int,
-    pixel: float,
 ) -> Diagnosis | None:
     """Compare the cameras (`diagnose`) in one step: of those that can be compared, the nearest to `middle`.
     `read(camera, frame)` gives an image or None. None if the MAX_TRIED_STEPS steps nearest to it fail."""
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:MAX_TRIED_STEPS]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}
         try:
-            return diagnose(frames, geometry, model, pixel)
+            return diagnose(frames, geometry, model)
         except ValueError:  # a frame is missing or bad
             continue
     return None

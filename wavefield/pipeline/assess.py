@@ -6,7 +6,6 @@ All remarks on a cube together are its verdict. A step is the interval between t
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -190,7 +189,7 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
         frames = {name: [first[name], second[name]] for name in first}
         masks = {n: [one.covered(k) for k in both] for n, one in prepared.series.items()}
         try:
-            return diagnose(frames, geometry, model, pixel, masks)
+            return diagnose(frames, geometry, model, masks)
         except ValueError:  # a frame is missing or bad
             return None
 
@@ -199,8 +198,8 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
         found = {step: one for step, one in zip(steps, pool.map(diagnosed, steps)) if one is not None}
     if not found:
         return None
-    quantities, cameras, units, _ = zip(*_errors(next(iter(found.values()))))
-    each = zip(*([values for *_, values in _errors(one)] for one in found.values()))
+    quantities, cameras, units, _ = zip(*next(iter(found.values())).errors())
+    each = zip(*([values for *_, values in one.errors()] for one in found.values()))
     errors = [np.concatenate([values.ravel() for values in one]) for one in each]
     finite = [values[np.isfinite(values)] for values in errors]
     rms, beyond = zip(*(rms_within(values) for values in finite))
@@ -218,23 +217,6 @@ def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
         },
         {"pixel_size": pixel, "steps": list(found)},
     )
-
-
-def _errors(found: Diagnosis) -> Iterator[tuple[str, str, str, NDArray[np.float64]]]:
-    """Yield every error between cameras at one step: quantity ("eps_y"), cameras, units and values.
-    The values have any shape, NaN where not measured."""
-    for pair, values in found.eps_y.items():
-        yield "eps_y", "-".join(pair), "m", values
-        yield "sigma_z", "-".join(pair), "m", np.array([found.z_std[pair]])
-    for one, other in combinations(found.z, 2):
-        yield "z", f"{'-'.join(one)} minus {'-'.join(other)}", "m", found.z[one] - found.z[other]
-    for pair, values in found.recombined.items():
-        yield "z_recombined", "-".join(pair), "m", values
-    for names, values in found.eps_piv.items():
-        yield "eps_piv", "-".join(names), "pixel", values
-    for (one, other), moved in found.moved_difference.items():
-        for name, values in zip(("dx", "dy", "dz"), np.moveaxis(moved, -3, 0)):
-            yield name, f"{'-'.join(one)} minus {'-'.join(other)}", "m", values
 
 
 def _density(values: NDArray[np.float64], rms: float) -> NDArray[np.float64]:
