@@ -184,7 +184,11 @@ def prepare(
             h, w = h // 2, w // 2
             padded = np.empty((h + 2 * PAD, w + 2 * PAD), np.float32)
             cv2.resize(even, (w, h), dst=padded[PAD:-PAD, PAD:-PAD], interpolation=cv2.INTER_AREA)
-        _replicate_border(padded)
+        # the border repeats the nearest pixels of the image
+        padded[PAD:-PAD, :PAD] = padded[PAD:-PAD, PAD : PAD + 1]
+        padded[PAD:-PAD, -PAD:] = padded[PAD:-PAD, -PAD - 1 : -PAD]
+        padded[:PAD] = padded[PAD]
+        padded[-PAD:] = padded[-PAD - 1]
         levels.append(Level(padded, NO_MASK if mask is None else mask.levels[number]))
     return PreparedImage(tuple(levels), settings.normalization)
 
@@ -238,14 +242,6 @@ def _usable_blocks(good: np.ndarray, level: int) -> np.ndarray:
     On level 0, a margin of two pixels around the block must be usable as well."""
     side = BLOCK + 4 if level == 0 else BLOCK
     return cv2.erode(good, np.ones((side, side), np.uint8), borderType=cv2.BORDER_REPLICATE)
-
-
-def _replicate_border(padded: np.ndarray) -> None:
-    """Fill the border of `padded` with the nearest pixels of the image inside, in place."""
-    padded[PAD:-PAD, :PAD] = padded[PAD:-PAD, PAD : PAD + 1]
-    padded[PAD:-PAD, -PAD:] = padded[PAD:-PAD, -PAD - 1 : -PAD]
-    padded[:PAD] = padded[PAD]
-    padded[-PAD:] = padded[-PAD - 1]
 
 
 # Normalisation sums over the cells, then interpolates mean and scale between them. Loops run along rows.

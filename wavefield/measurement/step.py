@@ -353,10 +353,6 @@ def _estimate(
             z = without_shutters(orders[0], motion, geometry)
     assert motion is not None
     rise = rise_of_water(first, second, motion, flow, geometry.x, geometry.y)
-    return StepEstimate(surfaces, motion, MidTime(z, rise, frames, measured, _departure(orders, frames)))
-
-
-def _departure(orders: Sequence[Float], frames: NDArray[np.uint8]) -> float:
-    """Return the robust variance, m^2, over the nodes, of z from six frames minus z from four.
-    `orders` and `frames` come from `z_at_mid_time`. Without z from six frames, the result is 0."""
-    return robust_std((orders[0] - orders[1])[frames == 6]) ** 2 if len(orders) > 2 else 0.0
+    # z from six frames minus z from four
+    departure = robust_std((orders[0] - orders[1])[frames == 6]) ** 2 if len(orders) > 2 else 0.0
+    return StepEstimate(surfaces, motion, MidTime(z, rise, frames, measured, departure))

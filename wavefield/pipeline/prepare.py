@@ -197,7 +197,7 @@ class PreparedRun:
     @property
     def in_light_sheet(self) -> bool:
         """Whether particles in a light sheet are measured, not the surface."""
-        return self.geometry.settings.sheet_thickness is not None
+        return self.geometry.z_is_known
 
     @property
     def steps(self) -> int:
