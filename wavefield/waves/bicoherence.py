@@ -56,8 +56,8 @@ def correlations_of(z: np.ndarray) -> np.ndarray:
 
 def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarray:
     """Return the largest tricoherence of each pair (omega1, omega2), (n, n), from coefficients `z` (n,
-    samples). `shared` (n, n) is the correlation between frequencies due to leakage. Quartets in which it
-    exceeds `limit`, or in which omega3 is close to omega1, are left out."""
+    samples). Quartets are left out if omega3 is close to omega1, or if leakage correlates them: if products
+    of the correlations `shared` (n, n) between their frequencies exceed `limit`."""
     n = z.shape[0]
     (herk,) = linalg.get_blas_funcs(("herk",), (z,))
     value = np.full((n, n), np.nan)

@@ -40,7 +40,7 @@ _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m: waves of 6 km to 1.6 mm
 
 def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
     """Return the frequency omega - k . U in a frame that moves with the water, rad/s; `doppler_shift` is k .
-    U. Its modulus is kept at 0.5 to 1.5 times the free-wave frequency `sigma`, or closer to omega."""
+    U. Its modulus is limited to 0.5 to 1.5 times `sigma`, the free-wave frequency, or to omega if outside."""
     intrinsic = np.asarray(omega - doppler_shift)
     least = np.minimum(omega, (1 - MAX_DEPARTURE) * sigma)
     most = np.maximum(omega, np.minimum((1 + MAX_DEPARTURE) * sigma, np.pi / dt))
@@ -69,7 +69,8 @@ def _white(noise: Array, use: Array) -> Array:
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    """Return the upper end, Hz, of the valid range at the peak, and the decades that `signal` falls."""
+    """Return the highest frequency, Hz, of the valid range that contains the spectral peak.
+    Also return by how many decades `signal` falls from the peak to it. Arrays are (omega,)."""
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:

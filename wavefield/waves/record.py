@@ -115,7 +115,7 @@ FIELDS = ("z", "z_t", "u", "v", "w")
 
 @dataclass(frozen=True)
 class Record:
-    """The part of a cube that estimators use: a rectangle of nodes, and runs of steps without long gaps."""
+    """The part of a cube that is analysed: a rectangle of nodes, and runs of time steps without long gaps."""
 
     y: tuple[int, int]  # first node of the rectangle, and one past its last
     x: tuple[int, int]
@@ -382,7 +382,7 @@ def whole_record(array: xr.DataArray | xr.Dataset) -> Record:
 
 def filled_error(record: Record, field: xr.DataArray) -> float:
     """Return the standard deviation of the error of `field` at interpolated nodes.
-    It is 0 if there are no interpolated nodes, and NaN if it cannot be estimated."""
+    It is 0 if no node is interpolated, and NaN if it cannot be estimated."""
     if not record.holes:
         return 0.0
     inside = [t for a, b in record.runs for t in range(a + FILL_MARGIN, b - FILL_MARGIN)]

@@ -13,7 +13,7 @@ HANN_CORRELATION = 1.0, (2 / 3) ** 2, (1 / 6) ** 2
 
 @dataclass(frozen=True, eq=False)
 class Rings:
-    """Rings of equal width in |k|, and the area fraction of each cell of the k plane in each ring."""
+    """Rings of equal width in |k|, and the area fraction of each cell (ky, kx) in each ring."""
 
     k: np.ndarray  # centres, (rings,), rad/m
     dk: float  # width, rad/m

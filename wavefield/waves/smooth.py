@@ -313,7 +313,7 @@ class _Smoother:
 
     def smoothed(self, window: Array) -> Array:
         """Return z, u, v, w and their standard uncertainties, (8, ny, nx), at the middle step of a window.
-        Nodes that are not measured, and windows with a jump of time, are returned unchanged."""
+        Nodes that are not measured, and windows with lost or doubled frames, are returned unchanged."""
         own = window[:8, self.steps]
         if (window[8] == JUMP_OF_TIME).any():
             return own.astype(np.float32)

@@ -29,7 +29,7 @@ def hann(n: int) -> np.ndarray:
 
 
 def hann_power(distance: np.ndarray) -> np.ndarray:
-    """Return the power of a sine wave in a Hann-windowed spectrum, `distance` frequency steps away."""
+    """Return the relative power of a Hann-windowed sine wave `distance` frequency steps from its peak."""
     off = np.where(np.abs(np.abs(distance) - 1) < 1e-9, 0.0, 1 - distance**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         amplitude = np.where(off == 0, 0.5, np.sinc(distance) / off)
@@ -136,7 +136,7 @@ class Link(NamedTuple):
 
 
 class Reader:
-    """Reads time steps of fields in the rectangle of nodes of a record, and fills gaps."""
+    """Reads time steps of fields in the rectangle of nodes of a `Record`, and fills gaps."""
 
     def __init__(self, arrays: Sequence[xr.DataArray], record: Record, first: int = 0) -> None:
         self.arrays, self.record = list(arrays), record
@@ -165,7 +165,7 @@ class Reader:
 
 
 def cut_chains(record: Record, segment: int) -> list[list[Link]]:
-    """Return the half segments of a record, in lists (chains) of up to four consecutive segments."""
+    """Return the half segments of a `Record`, in lists (chains) of up to four consecutive segments."""
     half = segment // 2
     out = []
     for run in record.runs:
@@ -200,7 +200,7 @@ def sum_chain(
 def sum_segments(
     arrays: Sequence[xr.DataArray], record: Record, segment: int, transform: Any, accumulate: Any
 ) -> Any:
-    """Return the sums of `sum_chain` over all segments of a record, as a Dask delayed object."""
+    """Return the sums of `sum_chain` over all segments of a `Record`, as a Dask delayed object."""
 
     def work(transform: Any, parts: Sequence[xr.DataArray], first: int, links: Sequence[Link]) -> Sums:
         return sum_chain(Reader(parts, record, first=first), transform, accumulate, links)
@@ -306,7 +306,8 @@ def k_coords(k: Array) -> Coordinates:
 
 @dataclass(frozen=True)
 class Welch:
-    """Welch's estimator for one record: its segments, frequencies, rings of |k|, and factors to densities."""
+    """Welch's method for a `Record`, the usable part of a cube: segments, frequencies, rings of |k|,
+    factors."""
 
     record: Record  # rectangle and runs
     segment: int  # steps of a segment
@@ -318,7 +319,7 @@ class Welch:
     def of(
         cls, fields: xr.DataArray | xr.Dataset, segment: int | None = None, record: Record | None = None
     ) -> "Welch":
-        """Return the estimator for fields over (time, y, x); the record and segment length are optional."""
+        """Return the estimator for fields over (time, y, x); by default it chooses record and segment."""
         record = find_record(fields) if record is None else record
         length = segment_length(record, segment)
         return cls(record, length, frames_of(fields), depth=water_of(fields.attrs)[0])
