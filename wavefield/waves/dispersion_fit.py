@@ -132,10 +132,11 @@ def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float
 
     Notes
     -----
-    The relation is omega = sqrt((g k + gamma k^3) tanh k h) + k . U, with the depth h. Points are centroids
-    in k of the energy above the noise, at each frequency and in 24 sectors of direction, weighted by their
-    inverse variance. Hann windows displace the centroids; this displacement is simulated and subtracted. The
-    uncertainty is that of least squares, and of leakage and surface tension.
+    The relation is omega = sqrt((g k + gamma k^3) tanh k h) + k . U, with the depth h. The fit starts from
+    the current U whose relation contains most energy. Points are centroids in k of the energy above the
+    noise, at each frequency and in 24 sectors of direction, weighted by their inverse variance. Hann windows
+    displace the centroids; this displacement is simulated and subtracted, until the current changes by less
+    than 0.3 mm/s. The uncertainty is that of least squares, and of leakage and surface tension.
 
     Examples
     --------

@@ -177,7 +177,8 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
         (excess), ``count`` and ``n_outliers``, the number of values beyond six standard deviations.
         ``std`` is about the mean of each node, ``pdf_std`` about that of all values. ``significant_height``
         (m) is four standard deviations of z. It, ``mean_square_slope``, ``slope_rms`` and ``peak_frequency``
-        (Hz) have standard uncertainties ``_std``, NaN for records that are too short.
+        (Hz) have standard uncertainties ``_std``, NaN for runs of fewer than 8 steps; the peak
+        is NaN in a record shorter than ten peak periods.
 
     Raises
     ------

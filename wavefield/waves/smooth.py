@@ -380,7 +380,8 @@ def smooth(cube: xr.Dataset, *, depth: float | None = None) -> xr.Dataset:
     ----------
     cube : Dataset
         z, u, v, w over (time, y, x), m and m/s, with their standard uncertainties ``z_std``, ``u_std``,
-        ``v_std``, ``w_std``; ``quality`` and ``frame_status`` where present. A lazy cube gives a lazy result.
+        ``v_std``, ``w_std``; ``quality`` and ``frame_status`` where present. A lazy cube gives a lazy
+        result; a few of its steps are read at once, to learn spectrum, noise and current.
     depth : float, optional
         Depth of the water, m; by default the depth stored with the cube, or else deep water.
 
