@@ -42,6 +42,13 @@ def found(read, rig=None, frames=FRAMES):
 SOUND = Shots(11)
 
 
+def covered(name, frame):
+    image = np.array(SOUND(name, frame))
+    if name == "cam2":
+        image[: image.shape[0] // 2] = 2
+    return image
+
+
 def swapped(name, frame):
     return SOUND({"cam1": "cam2", "cam2": "cam1"}.get(name, name), frame)
 
@@ -61,6 +68,7 @@ def late(name, frame):
         (mirrored, "cam1", "mirrored", "its images are mirrored"),
         (swapped, "cam1", "swapped", "only as images of cam2"),
         (late, "cam3", "offset", "differ from those of the others by +1"),
+        (covered, "cam2", "covered", "have no texture in"),
         (Shots(11, cam2={"defocus": 2.0}), "cam2", "blurred", "blurred by"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Find cameras that contradict the others, and the cause: mirrored, swapped, late, blurred, moved.
+"""Find cameras that contradict the others, and the cause: mirrored, swapped, late, blurred, covered, moved.
 
 Square patches of the images are resampled on the plane of the water at rest. Every pair of cameras is
 compared by normalised correlation at a few frames. A point at height z appears displaced along the parallax
@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 from wavefield.grid import Grid
 from wavefield.matching.patch_shifts import locate
-from wavefield.quality.remarks import GRAVE_EPS_Y, MAX_EPS_Y, SIGNIFICANCE
+from wavefield.quality.remarks import GRAVE_EPS_Y, MAX_EPS_Y, MAX_LOST, SIGNIFICANCE
 from wavefield.rig import Rig
 from wavefield.rig.field import pixel_at, pixel_size
 from wavefield.rig.stereo import parallax
 from wavefield.robust import PER_MEDIAN
-from wavefield.store.verdict import Remark, Verdict
+from wavefield.store.verdict import Remark, Verdict, Weight
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -254,10 +254,10 @@ def find_camera_faults(
     if len(patch_matcher.x) < MIN_PATCHES or not complete or len(names) < 2:
         return Verdict((), {}, complete)
     table = ConsistencyTable(patch_matcher, names, complete, threads)
-    remarks = list(_blurred(table))
+    remarks = [*_covered(table), *_blurred(table)]
     inconsistent, explained = _inconsistent(table, count)
     own = {remark.subject: remark for remark in remarks}
-    explained = [  # blur explains why a camera matches no other
+    explained = [  # blur or cover explains why a camera matches no other
         replace(own[one.subject], weight="grave") if one.kind == "disagree" and one.subject in own else one
         for one in explained
     ]
@@ -271,6 +271,24 @@ def find_camera_faults(
         for pair, found in table.found.items()
     }
     return Verdict(remarks, pairs, complete)
+
+
+def _covered(table: ConsistencyTable) -> Iterator[Remark]:
+    """Yield remarks on cameras without texture in a part of the field where most others see texture."""
+    for name in table.names:
+        covered = []
+        for ground in table.grounds.values():
+            others = np.mean([ground[other] for other in table.names if other != name], axis=0) > 0.5
+            covered.append((others & ~ground[name]).sum() / max(others.sum(), 1))
+        fraction = float(np.median(covered))
+        if fraction > MAX_LOST:
+            sentence = (
+                f"its images have no texture in {100 * fraction:.0f} % of the field that the others see"
+            )
+            means = "That part is measured by the other cameras, or not at all"
+            remedy = "Remove objects in front of it and check the light; draw fixed objects as a `mask:`"
+            weight: Weight = "grave" if fraction > 0.5 else "remark"
+            yield Remark(name, "covered", weight, sentence, means, remedy, {"fraction": fraction})
 
 
 def _blurred(table: ConsistencyTable) -> Iterator[Remark]:
