@@ -1,4 +1,4 @@
-"""The experiment file, the frames it names, and the xarray engine that opens them."""
+"""Experiment files (YAML), the camera frames that they name, and the xarray engine that opens them."""
 
 from wavefield.series.experiment import Experiment
 from wavefield.series.frames import Frame, FrameSeries

@@ -1,4 +1,4 @@
-"""The static background of a camera (floor, reflections, hot pixels), subtracted from its frames."""
+"""Compute, read and subtract the static background of each camera (floor, reflections, hot pixels)."""
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping
@@ -19,8 +19,8 @@ Image = NDArray[Any]
 
 
 def mean_image(series: FrameSeries, frames: int) -> Image:
-    """Return the mean of at most `frames` evenly spaced frames of a camera, (row, column), in the same type.
-    Bad frames among them are left out; FrameError if none of them can be read."""
+    """Return the mean, (row, column), of at most `frames` evenly spaced frames of a camera.
+    It has the type of the frames. Bad frames are left out; FrameError if none of these can be read."""
     total, count = np.zeros(series.shape), 0
     for index in evenly_spaced(len(series), frames):
         image = series.read(int(index)).image
@@ -38,9 +38,9 @@ def read_backgrounds(
     resolve: Callable[[str], Path],
     experiment: Path,
 ) -> dict[str, Image]:
-    """Return the background images, (row, column), by camera; cameras without one are left out.
-    `named` is the key ``background`` of the file `experiment`, and `resolve` turns a name in it into a path.
-    ExperimentError if an image cannot be read."""
+    """Read the background images, (row, column), and return them by camera.
+    `named` is one file name for all cameras, with ``{camera}``, or a name by camera; a camera without a name
+    is left out. `resolve` turns a name into a path. ExperimentError if an image cannot be read."""
     out = {}
     for name in cameras:
         file = named if isinstance(named, str) else (named or {}).get(name)
@@ -58,7 +58,8 @@ def read_backgrounds(
 def refuse_other_images(
     background: Image, name: str, shape: tuple[int, ...], dtype: str, experiment: Path
 ) -> None:
-    """Raise ExperimentError if the background of a camera differs from its frames in shape or type."""
+    """Raise ExperimentError if the `background` of the camera `name` differs from its frames.
+    Frames have the `shape` (rows, columns) and the `dtype`; the message names the file `experiment`."""
     if background.shape != shape or background.dtype != dtype:
         raise ExperimentError(
             f"{experiment}: background of {name}: it is {background.shape[1]} x {background.shape[0]} "
@@ -73,7 +74,8 @@ def with_backgrounds(
     resolve: Callable[[str], Path],
     experiment: Path,
 ) -> dict[str, FrameSeries]:
-    """Return each camera's series, from whose frames its background is subtracted; see `read_backgrounds`."""
+    """Return copies of `series`, by camera, that subtract the camera's background from each frame they read.
+    ExperimentError if a background does not fit the frames. For other arguments see `read_backgrounds`."""
     images = read_backgrounds(named, series, resolve, experiment)
     for name, image in images.items():
         refuse_other_images(image, name, series[name].shape, series[name].dtype, experiment)
@@ -81,7 +83,7 @@ def with_backgrounds(
 
 
 def checksums(series: Mapping[str, FrameSeries]) -> dict[str, str]:
-    """Return the checksum of each camera's background, for the recipe of a cube; empty if there is none."""
+    """Return the checksum of each camera's background image, by camera; cameras without one are left out."""
     return {
         name: hashlib.sha256(np.ascontiguousarray(one.background).tobytes()).hexdigest()[:16]
         for name, one in series.items()
@@ -92,8 +94,8 @@ def checksums(series: Mapping[str, FrameSeries]) -> dict[str, str]:
 def write_backgrounds(
     series: Mapping[str, FrameSeries], folder: Path, frames: int, source: str
 ) -> list[Path]:
-    """Write the mean of `frames` frames of each camera to `folder`/CAMERA.tif, and return these paths.
-    StoreError if a file exists that is not an unchanged background of the same experiment, `source`."""
+    """Write the mean of `frames` frames of each camera to `folder`/CAMERA.tif, and return the paths.
+    StoreError if a file exists, unless it is an unchanged background of the same experiment, `source`."""
     product = Product("background", source)
     files = {name: folder / f"{name}.tif" for name in series}
     for file in files.values():

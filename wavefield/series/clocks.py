@@ -25,9 +25,9 @@ DEPARTURE_STEP = 1e-4  # intervals: delays are rounded to this, which changes ve
 
 
 def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> Times | None:
-    """Return the times of a camera's images, (n,), s, in its recordings; None if they do not increase.
-    The playback times of a video are scaled to `frame_rate`, Hz, and are not used if there are several
-    videos. ExperimentError if the time stamps of other recordings contradict `frame_rate`."""
+    """Return the times of a camera's images, (n,), s, from its recordings; None if they cannot be used.
+    Usable times exist for all images and increase. Those of one video are scaled to `frame_rate`, Hz; several
+    videos give None. ExperimentError if times of other recordings contradict `frame_rate`."""
     parts, paths, header = [], recordings_of(images, camera, folder), ""
     for path in paths:
         try:
@@ -47,8 +47,8 @@ def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> T
 
 def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     """Raise ExperimentError if increasing time stamps, (n,), s, contradict a frame rate, Hz.
-    Their mean interval, without dropped frames, may differ by 1 % or by the range of the intervals over their
-    number. The message begins with `words`, in which ``{rate:g}`` becomes the rate of the time stamps."""
+    The mean interval, without dropped frames, may differ by 1 %, or by the range of the intervals over their
+    number. `words` begin the message; ``{rate:g}`` in them becomes the rate of the time stamps, Hz."""
     usual = usual_intervals(times)
     if not len(usual):
         return
@@ -64,7 +64,8 @@ def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
 
 
 def read_time_stamps(path: Path, camera: str) -> Times:
-    """Return the increasing times in a file, (n,), s: one per line, or a CSV file with a column ``time``."""
+    """Read the times of a camera's images, (n,), s: one per line, or a CSV file with a column ``time``.
+    ExperimentError if a line is not a number or if the times do not increase."""
     times: list[float] = []
     column, columns = 0, 1
     for number, line in numbered_lines(path, f"the time stamps of {camera}"):
@@ -88,8 +89,8 @@ def read_time_stamps(path: Path, camera: str) -> Times:
 def place_by_time(
     numbered: Numbered, times: Times, start: float, frame_rate: float, path: Path, camera: str
 ) -> Numbered:
-    """Return a camera's frames renumbered from their time stamps, so that dropped frames leave gaps.
-    `times` (n,), s, are in the order of the numbers before; a frame at `start`, s, gets number 0.
+    """Return a camera's frames with new numbers from their time stamps, so that dropped frames leave gaps.
+    `times`, (n,), s, follow the order of the old numbers; a frame at the time `start`, s, gets number 0.
     ExperimentError if there is not one time per frame, or if the times do not fit `frame_rate`, Hz."""
     if len(times) != len(numbered):
         raise ExperimentError(
@@ -108,9 +109,9 @@ def place_by_time(
 
 
 def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
-    """Return a camera's frames renumbered by the intervals between their times, (n,), s, from the first on.
-    All frames keep their numbers if an interval is not near a multiple of the usual one, or if the new
-    numbers span over 100 times the frames."""
+    """Return a camera's frames with new numbers from the intervals between their times, (n,), s.
+    The first frame keeps its number. All frames do if an interval is not near a multiple of the mean
+    interval, or if the new numbers span over 100 times the number of frames."""
     passed = np.diff(times) / usual_interval(times)
     steps = np.rint(passed)
     several_records = steps.sum() > MAX_NUMBERS_PER_FRAME * len(steps)
@@ -122,9 +123,9 @@ def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
 
 
 def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
-    """Return the delay of each frame relative to evenly spaced times, (n,), in frame intervals; None if all
-    are 0. It is the mean over the cameras' clocks. As cameras are triggered together, differences between
-    clocks are noise of the time stamps, and the mean is scaled down by the share of this noise."""
+    """Return the delay of each frame relative to evenly spaced times, (n,), in frame intervals.
+    It is the mean over the cameras' clocks. Cameras are triggered together, so clocks differ by noise; the
+    mean is scaled by the fraction of its variance that is not noise. None if all delays are 0 or unknown."""
     each = [
         found
         for one in series.values()
@@ -145,9 +146,9 @@ def frame_departures(series: Mapping[str, FrameSeries]) -> Times | None:
 
 
 def departures_by_clock(times: Times) -> Times | None:
-    """Return the distances of times (n,), s, from their regression line on frame number, in frame intervals.
-    They are NaN where a time is, and 0 if none exceeds the resolution of the times. None if there are fewer
-    than three times, or if a distance exceeds a quarter of a frame interval."""
+    """Return the delays of times, (n,), s, relative to a line fitted over frame number, in frame intervals.
+    Missing times (NaN) stay NaN. All delays are 0 if none exceeds the resolution of the times. None if there
+    are fewer than three times, or if a delay exceeds a quarter of a frame interval."""
     there = np.flatnonzero(np.isfinite(times))
     if len(there) < 3:
         return None
@@ -172,7 +173,7 @@ def _resolution(times: Times) -> float:
 
 
 class Stated(NamedTuple):
-    """What a recording states: its frame rate, whether it is a video, and how a video is to be rotated."""
+    """Data in the header of a recording: frame rate, whether it is a video, and the rotation for display."""
 
     rate: float | None  # Frames per second (for a video, of its playback); None if not stated
     is_video: bool
@@ -180,8 +181,8 @@ class Stated(NamedTuple):
 
 
 def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[str, Stated]:
-    """Return the frame rate, kind and rotation of the first recording of each camera, if it is readable.
-    `cameras` is the block ``cameras`` of the experiment file as plain data, with paths from `folder`."""
+    """Return the header data of each camera's first recording, by camera; unreadable ones are left out.
+    `cameras` is the block ``cameras`` of the experiment file as plain data; paths start from `folder`."""
     found = {}
     for name, camera in cameras.items():
         images = camera.get("images") if isinstance(camera, Mapping) else camera
@@ -196,19 +197,21 @@ def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[st
 
 
 def is_video(path: Path) -> bool:
-    """Whether the ending of a file name is that of a video, whose times are those of the playback."""
+    """Whether a path has the ending of a video file, in which times are those of the playback."""
     return path.suffix.lower() in VIDEO_ENDINGS
 
 
 def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
-    """Return the paths of a camera's recordings; empty if one of its `images` is not one, by its ending."""
+    """Return the paths in `folder` of a camera's recordings; `images` is its entry in the experiment file.
+    The list is empty if any of the named files does not have the ending of a recording."""
     names = images if isinstance(images, list) else [images]
     paths = [folder / name.replace("{camera}", camera) for name in names if isinstance(name, str)]
     return paths if len(paths) == len(names) and all(map(recording_path, paths)) else []
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
-    """Return the frame rate, Hz, that recordings state; ExperimentError if two differ by more than 1 %."""
+    """Return the frame rate, Hz, of recordings, from the `rates` of the cameras; None without rates.
+    ExperimentError, which names the file `path`, if a rate differs from the first by more than 1 %."""
     if not rates:
         return None
     (first, rate), *others = rates.items()
@@ -222,5 +225,5 @@ def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
 
 
 def is_alike(one: float, other: float) -> bool:
-    """Whether two frame rates agree within 1 %."""
+    """Whether two frame rates, in the same unit, agree within 1 %."""
     return abs(one - other) <= RATE_DISAGREEMENT * abs(other)

@@ -61,13 +61,13 @@ class FrameArray(BackendArray):
 
 
 class ExperimentBackend(BackendEntrypoint):
-    """Opens the images of an experiment as a tree, and a cube or smoothed fields as a Dataset, lazily."""
+    """Opens the images of an experiment as a DataTree, and a cube or smoothed fields as a Dataset, lazily."""
 
     description = "cubes, and image series of the cameras of an experiment file"
     open_dataset_parameters = ("filename_or_obj", "drop_variables", "group")
 
     def guess_can_open(self, filename_or_obj: object) -> bool:
-        """Whether a path is that of an experiment file: a YAML file with the key `cameras`."""
+        """Whether a path leads to an experiment file, that is, to a YAML file with the key ``cameras``."""
         try:
             path = Path(str(filename_or_obj))
             return path.suffix in (".yaml", ".yml") and path.is_file() and "cameras:" in path.read_text()
@@ -97,9 +97,9 @@ class ExperimentBackend(BackendEntrypoint):
         return found.drop_vars([drop_variables] if isinstance(drop_variables, str) else drop_variables or [])
 
     def open_datatree(self, filename_or_obj: object, **_: Any) -> xr.DataTree:
-        """Open all cameras of an experiment file as a tree, each with ``image(time, row, column)``.
+        """Open all cameras of an experiment file as a DataTree, each with ``image(time, row, column)``.
         The groups are ``/cam1``, ``/cam2``, ...; times are in the root. ExperimentError if the file or images
-        are wrong; warns if the experiment has masks, which are not applied."""
+        are wrong; warns if the experiment has masks, because they are not applied."""
         experiment = Experiment.load(str(filename_or_obj))
         series = experiment.open_frames()
         if experiment.mask:
@@ -115,8 +115,8 @@ class ExperimentBackend(BackendEntrypoint):
 
 
 def _cube(path: Path) -> xr.Dataset:
-    """Return a cube as `open_cube` does, but without Dask chunks.
-    If the user passes ``chunks={}`` to xarray, the Dask chunks have ``steps_per_block`` steps."""
+    """Return the cube at `path` as `open_cube` does, but without Dask chunks.
+    If a user passes ``chunks={}`` to xarray, Dask chunks have as many steps as the chunks on disk."""
     cube = open_cube(path, None)
     for variable in cube.variables.values():
         if "time" in variable.dims:
@@ -138,7 +138,7 @@ def _smoothed(path: Path) -> xr.Dataset:
 
 def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
     """Return a Dataset of one camera: ``image`` (time, row, column), and whether it is ``present`` (time).
-    The delays of the frames (n,) in frame intervals, if any, become the coordinate ``departure``."""
+    If given, `departures`, (n,), the delays of the frames in frame intervals, are a coordinate."""
     array = FrameArray(series)
     image = xr.Variable(
         ("time", "row", "column"),
@@ -159,7 +159,7 @@ def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
 
 
 def _root(experiment: Experiment, series: FrameSeries) -> xr.Dataset:
-    """Return a Dataset with the times, s, and the numbers of the frames as coordinates, for all cameras."""
+    """Return a Dataset with the coordinates ``time``, s, and ``frame`` (number), which all cameras share."""
     number = series.first + np.arange(len(series))
     return xr.Dataset(
         coords={

@@ -141,7 +141,7 @@ class Experiment(RecordSection):
 
     @classmethod
     def load(cls, path: str | Path, folder: str | Path | None = None) -> "Experiment":
-        """Read and check an experiment file; `folder`, if given, replaces the folder of the images in it.
+        """Read and check an experiment file; `folder` replaces the image folder that the file names.
         ExperimentError if the file is missing or wrong, or if recordings have different frame rates; the
         message names the line and the remedy."""
         path = Path(str(path).removeprefix("file://")).absolute()
@@ -171,11 +171,11 @@ class Experiment(RecordSection):
         return self._path.parent / (self.folder or "")
 
     def resolve(self, name: str | Path) -> Path:
-        """Return the path of a file from its name here, in which ``{folder}`` is the folder of the images."""
+        """Return the path of a file named in the experiment file; ``{folder}`` in it is the image folder."""
         return self._path.parent / str(name).replace("{folder}", str(self.image_folder))
 
     def at_rest(self) -> "Experiment":
-        """Return the record of still water as an experiment: the same cameras with the images of ``rest``.
+        """Return an experiment with the same cameras, but with the images of still water (key ``rest``).
         ExperimentError if the file names no such images, or none for one of the measuring cameras."""
         if not self.rest:
             raise ExperimentError(f"{self.path} names no record at rest; add `rest:` with its images")
@@ -191,37 +191,37 @@ class Experiment(RecordSection):
 
     def open_frames(self) -> dict[str, FrameSeries]:
         """Find the frames of every camera, over the range of frame numbers that the measuring cameras share.
-        Only one frame of each is read. Missing files leave gaps, and so do images that a camera dropped, by
-        its time stamps (key ``times``, or those in the recording). ExperimentError if images are missing or
+        One frame of each camera is read. Missing files leave gaps; so do dropped images, which are recognized
+        by time stamps (in the key ``times`` or in the recording). ExperimentError if images are missing or
         cannot be numbered, or if the cameras share fewer than two frame numbers."""
         series = open_record(self, self._path, self.image_folder, self.measuring_cameras)
         return with_backgrounds(series, self.background, self.resolve, self._path)
 
     def read_probes(self) -> Any:
-        """Return the wave probes as `wavefield.read_probes` does; None if the experiment file names none."""
+        """Read the wave probes, as `wavefield.read_probes`; None if the experiment file names none."""
         if self.probes is None:
             return None
         options = self.probes.model_dump(include={"unit", "factor", "clock", "places"})
         return read_probes(self.resolve(self.probes.file), **options)
 
     def frame_times(self, series: FrameSeries) -> NDArray[np.float64]:
-        """Return the times of a camera's frames, (n,), s; frame number 0 is at 0."""
+        """Return the times of a camera's frames, (n,), s: frame number divided by frame rate."""
         return (series.first + np.arange(len(series))) / self.frame_rate
 
     @property
     def rig_paths(self) -> list[Path]:
-        """Absolute paths of the rig files; without the key ``rig``, of ``rig.yaml`` next to this file."""
+        """Absolute paths of the rig files; by default the one of ``rig.yaml`` next to the experiment file."""
         named = list(self.rig.values()) if isinstance(self.rig, dict) else [self.rig or "rig.yaml"]
         return [self.resolve(file) for file in named]
 
     def load_rig(
         self, path: str | Path | None = None, series: Mapping[str, FrameSeries] | None = None
     ) -> Rig:
-        """Load the rig, in any format of `wavefield.rig.formats`, with z = 0 on the still water.
-        `path` is a rig file in place of the one that the experiment names. The size of the frames in `series`
-        must be that in a rig file of wavefield, and replaces the size in a file of another program. RigError
-        if there is no rig, or the rig lacks a measuring camera, was made for images of another size, or has
-        two cameras at the same position."""
+        """Load the rig (the calibrated cameras), with z = 0 on the still water.
+        All formats of `wavefield.rig.formats` are read. `path` replaces the rig file that the experiment
+        names. If `series` is given, its frames must have the image size in a rig file of wavefield; for a rig
+        file of another program, their size is used instead. RigError if there is no rig, or the rig lacks a
+        measuring camera, was made for images of another size, or has two cameras at the same position."""
         source: Path | dict[str, Path] = self.rig_paths[0] if path is None else Path(path)
         if path is None and isinstance(self.rig, dict):
             source = {name: self.resolve(file) for name, file in self.rig.items()}
@@ -242,10 +242,10 @@ class Experiment(RecordSection):
         return with_water_level(rig, self.water.level) if self.water.level else rig
 
     def choose_grid(self, rig: Rig, settings: Mapping[str, object] | None = None) -> Grid:
-        """Return the grid of the experiment file, or else the largest that all measuring cameras see.
-        An automatic grid stays in view at elevations within ``z_range`` of the measurement's `settings` (by
-        default the experiment file's), or else half of ``sheet_thickness`` up and down, or else 1 % of the
-        distance of the nearest camera. RigError if the cameras share no view."""
+        """Return the grid of the experiment file, or else the largest grid that all measuring cameras see.
+        They must see an automatic grid at all elevations in ``z_range`` of `settings` (by default those of
+        the experiment file), or else within half of ``sheet_thickness`` up and down, or else within 1 % of
+        the distance of the nearest camera. RigError if the cameras share no view."""
         section = self.grid
         if isinstance(section, GridSection) and section.x is not None and section.y is not None:
             return Grid(section.x, section.y, section.step)
@@ -255,7 +255,7 @@ class Experiment(RecordSection):
 
     @property
     def measuring_cameras(self) -> list[str]:
-        """Names of the cameras that measure: those in ``surface`` and ``velocity``, by default all."""
+        """Names of the cameras used to measure: those in ``surface`` and ``velocity``, by default all."""
         if self.surface is None and self.velocity is None:
             return list(self.cameras)
         used = {name for pair in (self.surface.pairs if self.surface else ()) for name in pair}
@@ -264,8 +264,8 @@ class Experiment(RecordSection):
 
 
 def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries) -> None:
-    """Raise RigError if a camera's images do not have the `size`, (width, height) in px, stated in its rig.
-    The message tells if the axes of the images seem to be in another order; `source` names the rig file."""
+    """Raise RigError if a camera's images do not have the `size`, (width, height) in px, of its calibration.
+    The message tells if image axes seem to be exchanged; it names the rig file, `source`."""
     rows, columns = series.shape
     if size == (columns, rows):
         return
@@ -283,7 +283,7 @@ def _check_image_size(source: object, size: tuple[int, int], series: FrameSeries
 
 
 def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
-    """Raise RigError if two of the cameras `names` are at the same position; `source` is the rig file."""
+    """Raise RigError if two of the cameras `names` have the same position; `source` is the rig file."""
     if rig.lenses_alone:
         return
     for one, other in combinations(names, 2):
@@ -293,8 +293,9 @@ def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
 
 
 def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, float] | None:
-    """Return the elevations, m, at which an automatic grid has to stay in the cameras' view.
-    They are the setting `z_range`, (low, high), or half of `sheet_thickness` up and down, or None."""
+    """Return the elevations, m, at which all cameras must see an automatic grid.
+    They are the setting ``z_range``, (low, high), or else half of ``sheet_thickness``, which is meant up and
+    down; None if neither is set."""
     try:
         if settings.get("z_range"):
             low, high = settings["z_range"]

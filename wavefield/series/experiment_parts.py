@@ -14,7 +14,7 @@ _NODES = "first and last node, m; left out: the common view of the cameras"
 
 
 class CameraSection(ConfigSection):
-    """Where the images of one camera are."""
+    """Names of the images of one camera, and how their frames are numbered and timed."""
 
     images: PathText | list[PathText | None] = Field(
         examples=['"cam1/img_{frame:05d}.tif"'],
@@ -47,7 +47,7 @@ class CameraSection(ConfigSection):
 
 
 class FramesSection(ConfigSection):
-    """Range of frame numbers to use, both included."""
+    """Range of frame numbers to use; the first and the last are included."""
 
     first: int | None = Field(default=None, examples=["0"], description=_RANGE)
     last: int | None = Field(default=None, examples=["11999"], description=_RANGE)
@@ -82,7 +82,7 @@ class RecordSection(ConfigSection):
 
 
 class CalibrationSection(ConfigSection):
-    """Images of the calibration target, and what the target is."""
+    """Images of the calibration target, its kind and size, and the lens terms to fit."""
 
     target: dict[str, Any] = Field(examples=["{kind: strings, mesh: 0.10}"], description="see below")
     tilted: PathText | list[PathText] = Field(
@@ -148,7 +148,7 @@ class GridSection(ConfigSection):
 
 
 class WaterSection(ConfigSection):
-    """Properties of the water."""
+    """Depth, still level, density and surface tension of the water."""
 
     depth: float | None = Field(default=None, gt=0, le=12_000, examples=["0.70"], description="depth, m")
     level: float = Field(default=0.0, description="height of the still water above z = 0 of the rig file, m")

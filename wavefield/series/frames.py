@@ -19,7 +19,7 @@ Outline = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class CameraMask:
-    """Which pixels of a camera's images are masked: those inside outlines, and those of mask images."""
+    """The masked pixels of a camera: those inside outlines, and those that are not black in mask images."""
 
     shape: tuple[int, int]  # (rows, columns) of its images
     outlines: tuple[Outline, ...] = ()  # Closed outlines of corners (column, row), px; their inside is masked
@@ -108,7 +108,7 @@ class FrameSeries:
 
     @property
     def missing(self) -> np.ndarray:
-        """Numbers of the frames that have no image."""
+        """Numbers of the frames that have no file, as an array of integers."""
         return self.first + np.flatnonzero([entry is None for entry in self.entries])
 
     def place(self, index: int) -> str:
@@ -138,26 +138,26 @@ class FrameSeries:
         return frame._replace(image=subtracted(frame.image, self.background))
 
     def covered(self, index: int) -> NDArray[np.bool_] | None:
-        """Return a mask (row, column), true at masked pixels, the same at every index; None without one."""
+        """Return a mask (row, column), true at masked pixels, the same for all frames; or None."""
         return None if self.mask is None else covered_pixels(self.mask)
 
     def read_uncovered(self, index: int) -> np.ndarray | None:
-        """Return the image at an index, with masked pixels set to the median grey; None for a bad frame."""
+        """Return the image at an index, with masked pixels set to a median grey; None for a bad frame."""
         image, covered = self.read(index).image, self.covered(index)
         return image if image is None or covered is None else fill_masked(image, covered)
 
     def window(self, start: int, stop: int) -> "FrameSeries":
-        """Return the frames at indices start to stop - 1 as a series without times, to send to a worker."""
+        """Return the frames at indices `start` to `stop` - 1 as a series without times, for a worker."""
         start = max(start, 0)
         entries = list(self.entries[start:stop])
         return replace(self, first=self.first + start, entries=entries, times=None)
 
 
 def is_interlaced(series: FrameSeries) -> bool:
-    """Whether odd and even rows of a camera's images were exposed at two moments; up to five are examined.
+    """Whether odd and even rows were exposed at two moments; up to five of a camera's images are examined.
     Let D_k be the rms difference between rows k apart. D_1 D_4 / D_2^2 is 0.7 to 1 in an image of one moment,
-    and about 1.1 if beads moved between two moments. In a colour mosaic it is as high for columns, so images
-    with a high ratio for columns do not count."""
+    and about 1.1 if particles moved between two moments. A colour mosaic raises it between columns as well;
+    such images are not taken for interlaced."""
     found = []
     for index in np.unique(np.linspace(0, len(series) - 1, 5).astype(int)):
         image = series.read(int(index)).image
@@ -176,7 +176,7 @@ def subtracted(image: NDArray[Any], background: NDArray[Any]) -> NDArray[Any]:
 
 
 def check_content(image: np.ndarray, place: str) -> Frame:
-    """Return an image as a `Frame`, or a fault that names its `place` if it is blank or not finite."""
+    """Return a `Frame`: the image, or a fault of the frame `place` if the image is blank or not finite."""
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())
         return Frame(None, FrameFault.UNREADABLE, f"{place} has {bad} pixels that are not finite numbers")

@@ -1,8 +1,8 @@
 """Find images by the names in the experiment file: numbered frames, and images of the calibration target.
 
 The number of a frame is in the file's name, is the index of the image in a file of many images, or follows
-from a time stamp. The images of a list in the experiment file are counted through the list. A number never
-comes from the position of a file in the listing of a folder, because a missing file would shift the others.
+from a time stamp. If the experiment file has a list of files, images are numbered through the whole list. A
+number never comes from a file's position in its folder, because a missing file would shift the others.
 """
 
 import glob
@@ -52,7 +52,7 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
 
 
 def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
-    """Return `count_images` of a file or store; ExperimentError if that fails or finds over five million."""
+    """Return `count_images(path)`; ExperimentError if it fails, or finds over five million images."""
     try:
         kind, count = count_images(path)
     except FrameError as error:
@@ -66,7 +66,7 @@ def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
 
 
 def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbered:
-    """Return the frames of a list of files by frame number; their images are counted through from 0.
+    """Return the frames in a list of files, by frame number; images are numbered from 0 through all files.
     An entry None, or a file that does not exist, leaves one number without a frame."""
     out: Numbered = {}
     number = 0
@@ -102,7 +102,7 @@ def _names(path: Path, camera: str) -> dict[int, str]:
 
 
 def _numbers_by_mark(names: Sequence[str], pattern: str, camera: str) -> dict[int, str]:
-    """Return those of `names` that match a pattern such as ``run-*-{frame}.tif``, by frame number.
+    """Return the file names that match a pattern such as ``run-*-{frame}.tif``, by frame number.
     ExperimentError if two files have the same number, or if a wildcard is next to ``{frame}``."""
     parts = re.split(r"(\*|\?|\{frame[^}]*\})", pattern)
     if re.search(r"[*?]\{frame|\{frame[^}]*\}[*?]", pattern):
@@ -128,9 +128,9 @@ def _numbers_by_mark(names: Sequence[str], pattern: str, camera: str) -> dict[in
 def make_series(
     numbered: Mapping[str, Numbered], first: int, last: int, clocks: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, FrameSeries]:
-    """Return one series per camera, over the frame numbers `first` to `last`, both included.
-    `clocks` has, by camera, the times (s) of all its frames in `numbered`; cameras without times are absent.
-    One frame of each camera is read, to learn the shape and type of the images."""
+    """Return a series for each camera, with the frame numbers from `first` to `last`, both included.
+    `numbered` has the cameras' frames by number; `clocks` has the times (s) of these frames, in order, for
+    cameras with a clock. One frame of each camera is read, to learn the shape and type of the images."""
     out = {}
     for camera, frames in numbered.items():
         entries = [frames.get(number) for number in range(first, last + 1)]
@@ -143,7 +143,7 @@ def make_series(
 
 
 def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tuple[int, int], str]:
-    """Return the shape (rows, columns) and type of the first readable image of five over the record."""
+    """Return the shape (rows, columns) and type of images, from the first of five that is readable."""
     present = [entry for entry in entries if entry is not None]
     tried = [present[k] for k in from_first_to_last(len(present), 5)] if present else []
     problem = "there are none in the range of frames"
@@ -163,9 +163,9 @@ def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tupl
 def find_views(
     section: CalibrationSection, cameras: Iterable[str], folder: Path, experiment: Path
 ) -> dict[str, dict[str, Path]]:
-    """Return the paths of the images of the calibration target in `folder`: for each camera, a path by pose.
-    A pose of the target is named by the part of the file name that varies; the pose on z = 0 is ``flat``.
-    CalibrationError, which names the file `experiment`, if a camera has no target image."""
+    """Return the paths of the images of the calibration target in `folder`, by camera and then by pose.
+    A pose is a position of the target. Its name is the part of the file name that varies, or ``flat`` on the
+    water. CalibrationError, which names the file `experiment`, if a camera has no target image."""
 
     def no_images(camera: str, patterns: Sequence[str]) -> CalibrationError:
         return CalibrationError(
@@ -202,9 +202,9 @@ def find_views(
 
 
 def _target_images(folder: Path, pattern: str, camera: str) -> Iterator[tuple[str, Path]]:
-    """Yield the pose and the path of each image of a camera that matches a pattern.
-    The pose is the text that the wildcards match, with the text around them, so it is the same in all
-    cameras. A leading minus sign is kept, because a target may be moved from -3 mm to 3 mm."""
+    """Yield the pose (position of the target, as text) and the path of each target image of a camera.
+    The pose is the text that the wildcards of `pattern` match, with the text around them, so it is the same
+    in all cameras. A leading minus sign is kept, because a target may be moved from -3 mm to 3 mm."""
     named = pattern.replace("{camera}", glob.escape(camera))
     one_each = re.sub(r"\[.[^]]*\]", "?", pattern)  # a set such as [0-9] matches one character
     groups = {"*": "(.*?)", "?": "(.)"}

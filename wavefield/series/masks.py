@@ -1,4 +1,4 @@
-"""Masks: outlines and images in the experiment file, and the pixels and nodes that they cover."""
+"""Masks: outlines and images named in the experiment file, and the pixels and nodes inside them."""
 
 import hashlib
 from collections.abc import Collection, Mapping, Sequence
@@ -19,7 +19,7 @@ POINTS_PER_SIDE = 16  # points per side of a polygon on the water, which lens di
 
 
 class MaskSection(ConfigSection):
-    """One masked shape: a polygon or an image."""
+    """One masked area: a polygon or an image."""
 
     polygon: list[tuple[float, float]] | None = Field(
         default=None,
@@ -40,7 +40,7 @@ class MaskSection(ConfigSection):
 
 
 def normalized(masks: object, cameras: Collection[str]) -> object:
-    """Return the block ``mask`` of an experiment file as plain data: a list of mappings for each key.
+    """Return the block ``mask`` of an experiment file with a list of mappings for each camera and ``water``.
     A file name becomes ``{"image": name}``. ValueError if a key is neither one of `cameras` nor ``water``."""
     if not isinstance(masks, Mapping):
         return masks
@@ -64,8 +64,8 @@ def covered_series(
     rig: Rig,
     folder: Path,
 ) -> dict[str, FrameSeries]:
-    """Return the frames of each camera, masked by the camera's own masks and by the masks on the water.
-    `masks` is the block ``mask`` of the experiment file, with images in `folder`. ExperimentError if a mask
+    """Return the frames of each camera, with its own masks and the masks on the water as it sees them.
+    `masks` is the block ``mask`` of the experiment file; images are in `folder`. ExperimentError if a mask
     image is bad, or if masks cover a whole image."""
     out = {}
     for name, frames in series.items():
@@ -109,8 +109,8 @@ def outline_in_image(shape: MaskSection, camera: Camera) -> Outline:
 
 
 def as_data(masks: Mapping[str, Sequence[MaskSection]], folder: Path) -> dict[str, list[dict[str, object]]]:
-    """Return the masks of each camera, and of ``water``, as plain data for the recipe of a cube.
-    The data of a mask image include a checksum of the file, ``content``."""
+    """Return the masks of each camera, and of ``water``, as plain data, to record them in a cube.
+    For a mask image in `folder`, a checksum of the file is added as ``content``."""
     out: dict[str, list[dict[str, object]]] = {}
     for name, shapes in masks.items():
         out[name] = [shape.model_dump(exclude_none=True, mode="json") for shape in shapes]

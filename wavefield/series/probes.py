@@ -116,7 +116,7 @@ def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
 
 
 def _names(path: Path, number: int, line: str) -> list[str]:
-    """Return the names of the columns from the header of a probe file, ``time,NAME,...``, in `line`."""
+    """Return the column names in a probe file's header `line`, ``time,NAME,...``, of line number `number`."""
     names = [name.strip().strip('"') for name in line.split(",")]
     odd = any(not name or set(name) & set("[](){}") for name in names)
     if len(names) < 2 or names[0] != "time" or odd or len(set(names)) < len(names):
@@ -128,7 +128,7 @@ def _names(path: Path, number: int, line: str) -> list[str]:
 
 
 def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArray[np.float64]:
-    """Return the numbers in `lines`, pairs (line number, text), as an array (line, column).
+    """Return the numbers in `lines`, pairs of (line number, text), as an array (line, column).
     Empty cells become NaN. ExperimentError if a line does not hold one number for each of `names`."""
     table = np.empty((len(lines), len(names)))
     for row, (number, line) in zip(table, lines):
@@ -146,7 +146,7 @@ def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArra
 
 
 def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> None:
-    """Raise ExperimentError, with a line number, if times, s, do not increase or are over 2 s apart."""
+    """Raise ExperimentError if times, s, do not increase, or if their median interval is over 2 s."""
     steps = np.diff(times)
     if not (steps > 0).all():
         later = int(np.argmin(steps > 0)) + 1
@@ -161,7 +161,7 @@ def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> 
 
 def _check_elevation(path: Path, name: str, elevation: NDArray[np.float64]) -> None:
     """Raise ExperimentError if elevations of the probe `name`, m, vary by over 40 m.
-    They do if the unit is wrong, or if missing values are written as -99.99."""
+    Such a range means a wrong unit, or missing values that are written as -99.99."""
     known = elevation[np.isfinite(elevation)]
     if known.size and np.ptp(known) > LARGEST:
         raise ExperimentError(

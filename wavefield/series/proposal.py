@@ -1,4 +1,4 @@
-"""An experiment file proposed from a folder of images, with a comment on every guess."""
+"""Propose an experiment file for a folder of images, with a comment on every guess."""
 
 import os
 import re
@@ -39,15 +39,15 @@ water: {{depth: }}              # TO FILL IN: metres, such as 0.70; none in deep
 
 @dataclass(frozen=True)
 class NumberedImages:
-    """Numbered images of one camera: the pattern of their names, and their numbers."""
+    """Numbered images of one camera: the pattern of their file names, and the numbers."""
 
     pattern: str  # Relative path, with ``{frame}`` for the number and ``*`` for other varying parts
     numbers: tuple[int, ...]  # The numbers, in order
 
 
 def image_paths(folder: Path) -> list[str]:
-    """Return the sorted paths, relative to a folder, of all images below it, but not those in Zarr stores.
-    Links to folders are followed. ExperimentError if the folder does not exist."""
+    """Return the sorted paths of all images in a folder and its subfolders, relative to the folder.
+    Zarr stores are skipped; links are followed. ExperimentError if the folder does not exist."""
     if not folder.is_dir():
         raise ExperimentError(f"{folder} is not a folder; name the one that contains the images")
     entered: set[str] = set()
@@ -64,9 +64,9 @@ def image_paths(folder: Path) -> list[str]:
 
 
 def find_series(paths: Sequence[str]) -> list[NumberedImages]:
-    """Return the series of numbered images among `paths`, sorted by the patterns of their names.
-    Of names that differ only in digits, the frame number is the group of digits with the most values. Other
-    groups that vary become ``*`` if no two names share a frame number, and else make series of their own."""
+    """Group `paths` into series of numbered images, sorted by the patterns of their names.
+    Among names that differ only in digits, the group of digits with the most values is the frame number.
+    Other groups that vary become ``*`` if frame numbers are unique, else a series per value."""
     alike: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for path in paths:
         folder, _, name = path.rpartition("/")
@@ -91,7 +91,7 @@ def find_series(paths: Sequence[str]) -> list[NumberedImages]:
 
 
 def camera_names(patterns: Sequence[str]) -> list[str]:
-    """Return a camera name for each pattern: the folders, if these are distinct words, or cam1, cam2, ..."""
+    """Return a camera name per pattern: its folder, if all folders are distinct words, or cam1, cam2, ..."""
     folders = [pattern.rpartition("/")[0].rpartition("/")[2] for pattern in patterns]
     words = {folder for folder in folders if re.fullmatch("[A-Za-z][A-Za-z0-9_]+", folder)}
     return folders if len(words) == len(patterns) else [f"cam{k}" for k in range(1, len(patterns) + 1)]

@@ -79,7 +79,7 @@ def close_files() -> None:
 
 
 def _kept_open(path: str) -> _Images:
-    """Return the open file of a path; the eight files used last stay open for later calls."""
+    """Return the open file at a path; the eight files used last stay open for later calls."""
     try:
         key = path, os.stat(path).st_mtime_ns  # a file that was copied again is opened again
     except OSError:

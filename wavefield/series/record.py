@@ -1,4 +1,4 @@
-"""The frames of a record: numbered, renumbered by time stamps, and cut to a common range."""
+"""The frames of a record: numbered, numbered again by time stamps, and cut to a common range."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +18,7 @@ Times = NDArray[np.float64]
 def open_record(
     record: RecordSection, path: Path, folder: Path, measuring: Sequence[str]
 ) -> dict[str, FrameSeries]:
-    """Return the frames of every camera, over the frame numbers that the cameras in `measuring` all span.
+    """Return the frames of every camera, over the common range of frame numbers of the cameras `measuring`.
     The key ``frames`` of the experiment file, `path`, replaces this range. ExperimentError if images in
     `folder` are missing or cannot be numbered, or if the range has fewer than two numbers."""
     numbered = {name: number_frames(one.images, folder, name) for name, one in record.cameras.items()}
@@ -43,7 +43,7 @@ def open_record(
 
 def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int, last: int) -> None:
     """Raise ExperimentError if there are far fewer frames than frame numbers from `first` to `last`.
-    The limits are 100 numbers per frame and five million; a negative `first` must not precede all frames."""
+    The limits are 100 numbers per frame, and five million. A negative `first` must not precede all frames."""
     lowest = min(min(frames) for frames in numbered)
     if first < min(lowest, 0):
         raise ExperimentError(f"{path}: frames.first is {first}, but the first frame there is {lowest}")
@@ -59,9 +59,9 @@ def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int,
 def _place_by_clocks(
     record: RecordSection, numbered: dict[str, Numbered], path: Path, folder: Path
 ) -> tuple[dict[str, Numbered], dict[str, Times]]:
-    """Return the frames of each camera, renumbered from the times of the frames, and these times, s.
+    """Return the frames of each camera, with new numbers from their times, and these times (s) by camera.
     The times are those of the key ``times``, or else those in recordings. A camera without times keeps its
-    frame numbers, and is absent from the second result."""
+    frame numbers, and has no entry in the second mapping."""
     stamped: dict[str, tuple[Path, Times]] = {}
     for name, section in record.cameras.items():
         if section.times is not None:

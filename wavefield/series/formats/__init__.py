@@ -31,8 +31,8 @@ __all__ = ["ENDINGS", "VIDEO_ENDINGS", "Recording", "open_recording", "recording
 
 
 def open_recording(path: str | Path) -> Recording:
-    """Open a recording; read its header, and an image only if the header gives no size (video, DaVis).
-    `path` is a file, or file/name for one of several series in it. FrameError if it cannot be read."""
+    """Open a recording and read its header; of a video or DaVis set also the first image, for its size.
+    `path` is a file, or file/name if the file holds several image series. FrameError if it cannot be read."""
     path = Path(path)
     file = recording_path(path)
     if file is None:
@@ -54,6 +54,6 @@ def open_recording(path: str | Path) -> Recording:
 
 
 def recording_path(path: Path) -> Path | None:
-    """Return the part of a path that names a recording file, by its ending; None if no part does.
+    """Return the part of a path that names a recording file, told by its ending; None if no part does.
     For ``run.h5/cam1/images`` it is ``run.h5``. The file need not exist."""
     return next((part for part in (path, *path.parents) if part.suffix.lower() in _OPENERS), None)

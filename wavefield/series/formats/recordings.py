@@ -1,4 +1,4 @@
-"""Recordings: the base class of all, and readers of Phantom, Photron, StreamPix and DaVis files."""
+"""The base class of recordings, and readers for Phantom, Photron, StreamPix and DaVis files."""
 
 import re
 import struct
@@ -24,7 +24,7 @@ Starts = range | NDArray[np.int64]  # byte in a file at which each image begins
 
 
 class Recording(ABC):
-    """A file of many images (row, column); any image can be read without its neighbours."""
+    """A file that holds many images (row, column), which can be read in any order."""
 
     path: Path | str  # The file, for messages
     count: int  # Images in it
@@ -41,7 +41,7 @@ class Recording(ABC):
 
     @abstractmethod
     def _read(self, index: int) -> Pixels:
-        """Return the image at an index below `count`; FrameError if it cannot be read."""
+        """Return the image, (row, column), at a valid index from 0; FrameError if it cannot be read."""
 
     def times(self) -> Times:
         """Return the times of the images, (count,), s; empty if the file has none."""
@@ -53,7 +53,7 @@ class Recording(ABC):
 
 @dataclass
 class RawRecording(Recording):
-    """A recording with uncompressed pixels, each image at a known place in the file."""
+    """A recording with uncompressed pixels, in which each image begins at a known byte of the file."""
 
     path: Path
     count: int
@@ -93,27 +93,28 @@ class RawRecording(Recording):
 
 
 def usual_intervals(times: Times) -> Times:
-    """Return the intervals between times, s, without dropped images: those near the median interval."""
+    """Return the intervals between times, s, that are within 50 % of their median (no dropped images)."""
     intervals = np.diff(times)
     middle = float(np.median(intervals)) if len(intervals) else 0.0
     return intervals[np.abs(intervals / middle - 1.0) < 0.5] if middle > 0 else np.empty(0)
 
 
 def usual_interval(times: Times) -> float:
-    """Return the mean of `usual_intervals`: the interval between images, s; 0 if there are none."""
+    """Return the mean interval between images, s, dropped images aside (`usual_intervals`); 0 if unknown."""
     usual = usual_intervals(times)
     return float(usual.mean()) if len(usual) else 0.0
 
 
 def checked_shape(path: Path, width: int, height: int) -> tuple[int, int]:
-    """Return (rows, columns) from a file's header; FrameError if one is not between 1 and 65536."""
+    """Return (rows, columns) = (height, width), px; FrameError if one of them is not between 1 and 65536."""
     if not (0 < width <= 65536 and 0 < height <= 65536):
         raise FrameError(f"{path} has images of {width} x {height} px by its header, which is damaged")
     return height, width
 
 
 def complete_images(path: Path, starts: Starts, each: int) -> int:
-    """Return how many images of a file, of `each` bytes, are complete; FrameError if none is."""
+    """Return how many images of a file are complete; FrameError if none is.
+    `starts` are the bytes at which the images begin, and `each` is the number of bytes per image."""
     complete = bisect_right(starts, path.stat().st_size - each, key=int)
     if not complete:
         raise FrameError(f"{path} holds not one complete image: it is empty or truncated")
@@ -124,8 +125,8 @@ def pixels(
     shape: tuple[int, int], bits: int, *, upside_down: bool = False
 ) -> tuple[Callable[[FileIO], Pixels], int]:
     """Return a function that reads an image from an open file, and the number of bytes per image.
-    Pixels of 8 or 16 `bits` take one or two bytes; others are packed without gaps, highest bit first.
-    `upside_down` is for files in which the lowest row comes first; it has no effect on packed pixels."""
+    `shape` is (rows, columns). Pixels of 8 or 16 `bits` take one or two bytes; others are packed without
+    gaps, highest bit first. `upside_down`: the lowest row comes first in the file (not for packed pixels)."""
     count = shape[0] * shape[1]
     size = (count * bits + 7) // 8
 
@@ -153,7 +154,7 @@ _CINE_PACKED = {256: 10, 1024: 12}  # biCompression to bits
 
 
 def open_cine(path: Path) -> Recording:
-    """Open a cine file of grey or raw images, uncompressed; FrameError if it is damaged or another kind."""
+    """Open a cine file of uncompressed grey or raw images; FrameError if damaged or of another kind."""
     with path.open("rb") as stream:
         head = stream.read(_CINE_HEADER.size)
         if len(head) < _CINE_HEADER.size or head[:2] != b"CI":
@@ -191,7 +192,7 @@ def open_cine(path: Path) -> Recording:
 
 def _cine_times(stream: BinaryIO, at_setup: int, at_offsets: int) -> NDArray[np.float64]:
     """Return the times of a cine file's images, (n,), s; empty if the file has none.
-    `at_setup` and `at_offsets` are the bytes at which the block SETUP and the list of images begin."""
+    `at_setup` and `at_offsets` are the byte positions of the block SETUP and of the list of images."""
     stream.seek(at_setup + _CINE_MARK)
     mark = stream.read(4)
     place = at_setup + int.from_bytes(mark[2:], "little")
@@ -245,12 +246,12 @@ def open_photron(path: Path) -> Recording:
 
 
 def _with_ending(path: Path, *endings: str) -> Path | None:
-    """Return `path` with the first of `endings` for which such a file exists; None if there is none."""
+    """Return `path` with the first of the `endings` for which this file exists; None if none exists."""
     return next((file for file in map(path.with_suffix, endings) if file.is_file()), None)
 
 
 def _read_cih(path: Path) -> dict[str, str]:
-    """Return the entries of a .cih file by name, from its lines `name : value`."""
+    """Return the entries of a .cih file (lines ``name : value``) as a dict."""
     out = {}
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         name, colon, value = line.partition(":")
@@ -260,7 +261,7 @@ def _read_cih(path: Path) -> dict[str, str]:
 
 
 def _read_cihx(path: Path) -> dict[str, str]:
-    """Return the entries of a .cihx file as text, by the names that a .cih file uses."""
+    """Return the entries of a .cihx file, as text, under the names that they have in a .cih file."""
     data = path.read_bytes()
     xml = re.search(rb"<cih>.*</cih>", data, re.DOTALL)
     if not xml:
@@ -317,7 +318,7 @@ def open_streampix(path: Path) -> Recording:
 
 
 class _DavisSet(Recording):
-    """A `Recording` of the image with index `frame`, from 0, of each buffer (.im7 file) of a DaVis set."""
+    """A DaVis set as a `Recording`: from each of its .im7 files, the image with the index `frame`, from 0."""
 
     def __init__(self, path: Path, buffers: list[Path], frame: int) -> None:
         self.path, self._buffers, self._frame = path, buffers, frame
@@ -345,8 +346,8 @@ def open_davis(path: Path) -> Recording:
 
 
 def _buffers_in_order(buffers: list[Path]) -> list[Path]:
-    """Return the paths of buffers sorted by the number at the end of their names, or else as text.
-    A number that is missing in between gets the path that its file should have, so that reading it fails."""
+    """Return the paths of .im7 files sorted by the number at the end of their names, or else as text.
+    For a missing number, the path that its file should have is inserted, so that reading it fails."""
     ends = [re.search(r"(?<!\d)\d{1,6}$", path.stem) for path in buffers]
     numbered = {int(end[0]): path for end, path in zip(ends, buffers) if end}
     if not buffers or len(numbered) < len(buffers):

@@ -1,6 +1,6 @@
-"""Videos, read by FFmpeg (PyAV): each frame by the time that its container gives it.
+"""Read videos with FFmpeg (PyAV); a frame is found by its time stamp in the file.
 
-Pixels are as stored: the luminance of the codec, never turned by a rotation that the container states.
+Pixels are the luminance as stored; a rotation for display that the file states is not applied.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ UNTIMED = (".avi",)  # containers without presentation times: compressed frames 
 
 
 class Video(Recording):
-    """The frames of a video as a `Recording`; frames that the container marks as not shown are left out."""
+    """The frames of a video as a `Recording`, without frames that the file marks as not to be shown."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -66,7 +66,7 @@ class Video(Recording):
         self._stream.thread_type = "AUTO"
 
     def _decoded(self) -> Any:
-        """Yield the decoded frames from the current position, until the end of the file or until damage."""
+        """Yield decoded frames from the current position until the file ends or is damaged."""
         try:
             yield from self._container.decode(self._stream)
         except (av.FFmpegError, ValueError):
@@ -93,11 +93,11 @@ class Video(Recording):
         raise FrameError(f"{self.path}, image {index}: cannot be decoded; is it damaged?")
 
     def _key(self, stamp: int) -> int:
-        """Return the time, in ticks, of the last key frame (coded without others) at or before `stamp`."""
+        """Return the time (in ticks) of the last key frame, coded without others, at or before `stamp`."""
         return max((pts for pts, _ in self._keys if pts <= stamp), default=self._stamps[0])
 
     def _seek(self, stamp: int) -> None:
-        """Move to the last key frame at or before the time `stamp`, in ticks, or else to the first frame."""
+        """Move to the last key frame at or before the time `stamp` (in ticks), or else to the first frame."""
         key = dict(self._keys).get(self._key(stamp))
         if not self._timed or key is None:
             self._rewind()
