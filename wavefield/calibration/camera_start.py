@@ -261,9 +261,9 @@ def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> dict[str, bo
 def _wrong_views(
     names: Sequence[str], pairs: Mapping[tuple[str, str], Mapping[str, bool]]
 ) -> list[tuple[str, str]]:
-    """Return the views (camera, pose) that disagree with the view of the same pose in every other camera.
-    `pairs` holds, by pair of cameras and by pose, whether the two agree. If only two cameras saw a pose,
-    both views are returned; if several but not all views of a pose disagree, none is."""
+    """Return the views (camera, pose) to leave out, because no other camera agrees on the pose of the target.
+    `pairs` holds, by pair of cameras and by pose, whether the two agree. For each pose, this is the one camera
+    without an agreeing partner, or all cameras if no two agree. Other cases are undecided: none is left out."""
     comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): agreement with each partner
     for cameras, agreement in pairs.items():
         for pose, good in agreement.items():

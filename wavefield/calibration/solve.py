@@ -211,7 +211,8 @@ def _fit_and_choose(
 
 
 def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observations) -> Geometry:
-    """Return the geometry in which all lens terms outside `terms` have the values of an ideal lens."""
+    """Return the geometry with lens terms outside `terms` reset to an ideal lens: no distortion, principal
+    point at the image centre. Image sizes are those of `observations`."""
     lens = geometry.lens.copy()
     free = {"fx", "fy"}.union(*(TERMS[term] for term in terms))
     fixed = [column for column, name in enumerate(LENS) if name not in free]

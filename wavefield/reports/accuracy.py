@@ -176,8 +176,8 @@ def pair_misfits(found: xr.Dataset) -> Figure:
 
 
 def pair_differences(found: xr.Dataset) -> Figure:
-    """Draw the distributions of differences in z and displacements, px, between pairs of cameras.
-    `found` is `Run.pair_statistics`. The panel of z also compares z of a pair with z from two other pairs."""
+    """Draw, for each two pairs of cameras, the distribution of differences between their z, dx, dy, dz, px.
+    `found` is `Run.pair_statistics`. A second curve for z is of recombined pairs (``z_recombined``)."""
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     kinds = [("z", "z_recombined"), ("dx",), ("dy",), ("dz",)]
     kinds = [names for names in kinds if np.isin(found.quantity, names).any()]

@@ -315,7 +315,8 @@ def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
 
 
 def _plane_coherences(mean: dict[str, Array]) -> Array:
-    """Return moduli (3, cells) of the coherence with z_t of w, -nl and w - nl, from mean `_plane_sums`."""
+    """Return the moduli, (3, cells), of three coherences: of w, of -nl and of w - nl, each with z_t.
+    nl is u . grad z, a cell is a wave vector, and `mean` is the mean over steps of `_plane_sums`."""
     power = mean["power"] - np.abs(mean["z_t"]) ** 2
     total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))

@@ -177,7 +177,8 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Return the ratio sqrt(E_nl / E_w) of nonlinear term and w, over k and omega, with 95 % intervals."""
+    """Return sqrt(E_nl / E_w), the ratio of the nonlinear term to w, as a function of k and as another of
+    omega, with 95 % intervals."""
     out: dict[str, Any] = {}
     w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))
     for axis in ("k", "omega"):

@@ -233,7 +233,8 @@ JUMP_OF_TIME = -1.0  # marks a step at which time jumps, in place of its quality
 
 
 class _Smoother:
-    """Smooths time steps one by one, in overlapping rectangles of nodes that cover the grid."""
+    """Computes the smoothed fields of a time step from those of the steps around it.
+    The grid is covered by overlapping rectangles of nodes, in which waves are fitted separately."""
 
     def __init__(
         self,
