@@ -262,8 +262,8 @@ def _wrong_views(
     names: Sequence[str], pairs: Mapping[tuple[str, str], Mapping[str, bool]]
 ) -> list[tuple[str, str]]:
     """Return the views (camera, pose) to leave out, because no other camera agrees on the pose of the target.
-    `pairs` holds, by pair of cameras and by pose, whether the two agree. For each pose, this is the one camera
-    without an agreeing partner, or all cameras if no two agree. Other cases are undecided: none is left out."""
+    `pairs` holds, by pair of cameras and by pose, whether the two agree. For each pose, this is the one
+    camera without an agreeing partner, or all cameras if no two agree. In other cases none is left out."""
     comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): agreement with each partner
     for cameras, agreement in pairs.items():
         for pose, good in agreement.items():

@@ -54,9 +54,9 @@ def _series(field: xr.DataArray, record: Record) -> list[Array]:
 
 
 def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array, Array]:
-    """Return sums of z^0 to z^4 (blocks, 5), and how many crests are higher, and how many troughs deeper, than
-    each level, both (blocks, levels). Levels are `LEVELS` times `sigma`, m. Each of `runs`, z (time, points),
-    is cut into blocks of `block` steps."""
+    """Return sums of z^0 to z^4 (blocks, 5), and how many crests are higher, and how many troughs deeper,
+    than each level, both (blocks, levels). Levels are `LEVELS` times `sigma`, m. Each of `runs`, z (time,
+    points), is cut into blocks of `block` steps."""
     sums, above = [], []
     for run in runs:
         count = run.shape[0] // block
