@@ -1,1 +1,1 @@
-"""Run chunks in processes, Dask clusters or Slurm jobs behind one map function; locks, logs, signals."""
+"""Run chunks in processes, Dask clusters or Slurm jobs behind one map function; keep locks and logs."""

@@ -1,4 +1,4 @@
-"""Map work over chunks: in this process, or on Dask workers of this machine, in Slurm jobs, or elsewhere.
+"""Apply a function to chunks of steps: in this process, or on Dask workers here, in Slurm jobs, or elsewhere.
 
 The scheduler that a run starts accepts connections from that run only: it uses TLS with credentials made for
 each run, and serves no dashboard.
@@ -49,7 +49,7 @@ _SCHEDULER_TIMEOUT = "20s"  # to connect to a scheduler that is running already
 
 
 def count_workers(workflow: Workflow) -> int:
-    """Return the greatest number of workers of a workflow: for ``auto`` the number of cores, for "none" 1."""
+    """Return the greatest number of workers of a workflow; one per core for ``auto``, 1 without a cluster."""
     if workflow.cluster == "none":
         return 1
     if workflow.workers == "auto":
@@ -58,7 +58,7 @@ def count_workers(workflow: Workflow) -> int:
 
 
 def threads_here(workflow: Workflow) -> int:
-    """Return how many threads this process, which starts the run, may use while no workers run; at most 4."""
+    """Return how many threads the process that starts a run may use while no workers run; at most 4."""
     return min(count_workers(workflow), _cores(), _MOST_THREADS)
 
 
@@ -71,7 +71,7 @@ def _cores() -> int:
 def open_cluster(
     workflow: Workflow, logs: Path | None = None, imports: Sequence[str] = ()
 ) -> Iterator[MapUnordered]:
-    """Context manager: start the workers of a workflow, and yield a map function; the workers end after it.
+    """Context manager: start the workers of a workflow and yield a map function; workers end with the block.
     `map(work, items)` yields each item with its result, or with the exception that it raised, in the order of
     completion. `logs` is the folder for output of Slurm jobs; local workers first import `imports`."""
     if workflow.cluster == "none" or (workflow.cluster == "local" and count_workers(workflow) == 1):
@@ -97,8 +97,8 @@ def open_cluster(
 def _connect(
     workflow: Workflow, logs: Path, imports: Sequence[str], stack: ExitStack
 ) -> tuple["Client", Watch]:
-    """Return a Dask client of the workflow's scheduler, and a function that checks the workers in a run.
-    Client and workers end when `stack` is closed; the scheduler of `cluster: address` goes on."""
+    """Return a Dask client of the workflow's scheduler, and a function that checks the workers during a run.
+    Closing `stack` ends the client and the workers, except those of a scheduler given by its address."""
     from distributed import Client
 
     if workflow.cluster == "address":
@@ -123,7 +123,7 @@ def _connect(
 
 
 def _local_cluster(workflow: Workflow, imports: Sequence[str]) -> Any:
-    """Return a Dask cluster on this machine, still without workers; these will first import `imports`."""
+    """Return a Dask cluster on this machine, still without workers; they will first import `imports`."""
     from distributed import LocalCluster
     from distributed.utils import get_mp_context
 
@@ -146,7 +146,7 @@ def _local_cluster(workflow: Workflow, imports: Sequence[str]) -> Any:
 
 
 def _end_workers(cluster: Any) -> None:
-    """End the workers of a local cluster at once; Dask would first wait for chunks that nobody needs."""
+    """End the workers of a local cluster at once; Dask would first wait for unfinished chunks."""
     for nanny in cluster.workers.values():
         nanny.auto_restart = False
         with suppress(OSError, TypeError):  # it has no process now
@@ -154,7 +154,7 @@ def _end_workers(cluster: Any) -> None:
 
 
 class _LocalWorkers:
-    """A check, called during a run, that raises StoreError if no worker of this machine exists for 300 s."""
+    """A check, called during a run, that raises StoreError if this machine has had no worker for 300 s."""
 
     def __init__(self) -> None:
         self._seen = time.monotonic()
@@ -170,7 +170,7 @@ class _LocalWorkers:
 
 
 class _WithoutWorkers:
-    """A check, called during a run, that warns once if the scheduler at `address` has no workers."""
+    """A check, called during a run, that warns once if the scheduler has no workers yet."""
 
     reported = False
 
@@ -187,7 +187,7 @@ class _WithoutWorkers:
 
 
 def _map_here(work: Work, items: Sequence[Any]) -> Results:
-    """Yield each item with the result of `work(item)`, called in this process, or the exception raised."""
+    """Yield each item with the result of `work(item)`, or with the exception raised, in this process."""
     with one_opencv_thread():
         for item in items:
             try:
@@ -198,8 +198,9 @@ def _map_here(work: Work, items: Sequence[Any]) -> Results:
 
 
 def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Sequence[Any]) -> Results:
-    """Yield each item with the result of `work(item)` or the exception raised, in the order of completion.
-    `watch(client)` checks the workers at least every 2 s. StoreError if the scheduler is lost."""
+    """Yield each item with the result of `work(item)`, or with the exception raised, in order of completion.
+    At most `workers` workers are used, and `watch(client)` checks them. StoreError if the scheduler is
+    lost."""
     from distributed import CancelledError, wait
 
     packed, mark = pickle.dumps(work), uuid.uuid4().hex
@@ -231,7 +232,7 @@ def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Seq
 
 
 def _result(task: Any) -> Any:
-    """Return the result of a Dask task that has ended, or its exception; Dask's own ones get a remedy."""
+    """Return the result of a finished Dask task, or its exception; Dask's own ones are explained."""
     from distributed import CancelledError, KilledWorker
 
     try:
@@ -256,7 +257,7 @@ def _result(task: Any) -> Any:
 
 def _do(packed: bytes, versions: str, item: Any) -> Any:
     """Return the result of the pickled function `packed` for an item; Dask calls this on a worker.
-    ExperimentError if `versions`, of Python and wavefield in the run, are not those of this worker."""
+    ExperimentError if the worker's Python or wavefield differs from the run's, which `versions` names."""
     if own_versions() != versions:
         raise ExperimentError(
             f"the workers run {own_versions()} ({sys.executable}), but the run {versions}: start both from "
@@ -271,7 +272,7 @@ def _do(packed: bytes, versions: str, item: Any) -> Any:
 
 @functools.lru_cache(maxsize=1)
 def _unpacked(packed: bytes) -> Work:
-    """Return the function of which `packed` is the pickle; the latest is kept in memory."""
+    """Return the function that was pickled into the bytes `packed`; the latest function is cached."""
     work: Work = pickle.loads(packed)
     return work
 

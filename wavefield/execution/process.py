@@ -61,7 +61,7 @@ _OUT_OF_MEMORY = -4  # of OpenCV's errors
 
 @contextmanager
 def one_opencv_thread() -> Iterator[None]:
-    """Context manager: OpenCV uses one thread, because steps are measured side by side."""
+    """Context manager: OpenCV uses one thread in the block, because steps are measured in parallel."""
     import cv2
 
     before = cv2.getNumThreads()
@@ -73,7 +73,7 @@ def one_opencv_thread() -> Iterator[None]:
 
 
 def keep_memory() -> None:
-    """Make the C library keep the memory of freed arrays for this process, until its end (glibc only)."""
+    """Let the C library (glibc only) keep the memory of freed arrays for reuse in this process."""
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):  # another C library, another system
@@ -84,8 +84,8 @@ def keep_memory() -> None:
 
 @functools.cache
 def set_up_worker() -> None:
-    """Configure this process as a worker, once: one OpenCV thread, memory of freed arrays kept.
-    Except on Windows, multiprocessing is set to "fork", with which locks leave no names behind."""
+    """Configure this process as a worker, once: one OpenCV thread, memory of freed arrays kept for reuse.
+    Except on Windows, multiprocessing starts processes by "fork", so that no named locks are left behind."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -95,7 +95,7 @@ def set_up_worker() -> None:
 
 
 def dask_setup(worker: Any) -> None:
-    """Set up a worker before its first task; Dask calls this function of the preloaded module."""
+    """Set up a worker before its first task; Dask calls this when it loads the module in a worker."""
     set_up_worker()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # end at once, not after the chunk is finished
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C stops the run, which ends its workers

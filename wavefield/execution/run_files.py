@@ -1,4 +1,4 @@
-"""Files next to the store that a run writes: its lock, its log, and the folder for output of Slurm jobs."""
+"""Files that a run writes next to the store: its lock, its log, and the folder for output of Slurm jobs."""
 
 import logging
 import re
@@ -15,7 +15,7 @@ log = logging.getLogger("wavefield.run")
 
 
 def _is_log(path: Path) -> bool:
-    """Return whether a file is empty or begins with a date and level, as the logs of wavefield do."""
+    """Return whether a file is empty or begins like a log of wavefield, with date, time and log level."""
     with path.open("rb") as stream:
         line = stream.readline(200)
     return not line or re.match(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ ", line) is not None
@@ -56,7 +56,7 @@ def log_file(store: Path) -> Iterator[None]:
 @contextmanager
 def locked(store: Path) -> Iterator[None]:
     """Context manager: lock a store by a file next to it; StoreError if another run holds the lock.
-    The operating system releases the lock when its process ends, even if it is killed."""
+    The operating system releases the lock when the process that holds it ends, even if it is killed."""
     path = store.with_name(f".{store.name}.lock")
     lock = FileLock(path, timeout=0)
     with writing(store):

@@ -33,7 +33,7 @@ def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
     from distributed.deploy.spec import ProcessInterface
 
     class Job(SLURMJob):
-        """A job that keeps the reason if sbatch refuses it; Dask would print a traceback and wait forever."""
+        """A Slurm job that keeps the reason if sbatch refuses it; Dask would print a traceback and wait."""
 
         refused = ""
 
@@ -85,7 +85,7 @@ def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
 
 
 def _import_jobqueue() -> None:
-    """Import dask-jobqueue, which replaces the handler of Ctrl-C, and restore the handler."""
+    """Import dask-jobqueue, and then restore the handler of Ctrl-C that the import replaces."""
     try:
         interrupt = signal.getsignal(signal.SIGINT)
         import dask_jobqueue  # noqa: F401
@@ -97,7 +97,7 @@ def _import_jobqueue() -> None:
 
 
 def _keywords(workflow: Workflow, logs: Path) -> dict[str, Any]:
-    """Return the keywords for SLURMCluster: wavefield's own, replaced or extended by `workflow.slurm`."""
+    """Return keywords for `SLURMCluster`: defaults, replaced or extended by those in `workflow.slurm`."""
     given = dict(workflow.slurm)
     cores = int(given.get("cores", 1))
     environment = WORKER_ENVIRONMENT | {
@@ -134,7 +134,7 @@ def _processes(workflow: Workflow) -> int:
 
 
 def count_jobs(workflow: Workflow) -> tuple[int, int]:
-    """Return the least and the greatest number of Slurm jobs that a workflow needs; both 1 for ``auto``."""
+    """Return the least and the greatest number of Slurm jobs of a workflow; both are 1 for ``auto``."""
     workers, processes = workflow.workers, _processes(workflow)
     if workers == "auto":
         return 1, 1
@@ -144,7 +144,7 @@ def count_jobs(workflow: Workflow) -> tuple[int, int]:
 
 class QueueWatch:
     """A check, called during a run, that warns why jobs wait in Slurm's queue.
-    It raises ExperimentError if no job can start, for which Dask would wait for ever."""
+    It raises ExperimentError if no job can start; Dask would wait for ever."""
 
     def __init__(self, cluster: Any) -> None:
         self._cluster = cluster
@@ -153,7 +153,7 @@ class QueueWatch:
         self._gone = 0  # number of successive checks without a queued or running job
 
     def __call__(self, client: Any) -> None:
-        """Check the jobs if Dask's `client` has no workers; do nothing within 10 s of the last check."""
+        """Check the jobs if Dask's `client` has no workers; do nothing within 10 s of the previous check."""
         now = time.monotonic()
         if now - self._checked_at < _POLL_SECONDS:
             return
@@ -197,7 +197,7 @@ def _refusal(text: str) -> str:
 
 
 def queue_of(user: str) -> dict[str, tuple[str, str]] | None:
-    """Return (state, reason) of each job of a user in Slurm's queue, by job number; None if squeue fails."""
+    """Return (state, reason) of each of a user's Slurm jobs by job number (text); None if squeue fails."""
     command = ["squeue", "--noheader", f"--user={user}", "--format=%A|%T|%r"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)

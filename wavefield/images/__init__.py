@@ -68,7 +68,7 @@ def _read(stream: BinaryIO, name: str) -> np.ndarray:
 
 
 def _decode(data: bytes, start: bytes) -> np.ndarray | None:
-    """Return the image in a PNG, JPEG or BMP file, told by its first bytes, `start`; None for others."""
+    """Return the image in `data`, a PNG, JPEG or BMP file that begins with the bytes `start`; else None."""
     if start == PNG:
         return np.asarray(imagecodecs.png_decode(data))
     if start[:3] == JPEG:  # strict: warnings of libjpeg, such as truncated data, are errors
@@ -88,7 +88,7 @@ def _unknown(name: str, start: bytes) -> str:
 
 def grey(image: np.ndarray) -> np.ndarray:
     """Return the luminance, (row, column), of an image (row, column, channel), in the type of the image.
-    Channels are red, green, blue and alpha, which is ignored; of one or two channels the first is taken."""
+    Channels are red, green, blue and alpha (ignored); of one or two channels the first is taken."""
     if image.ndim == 2:
         return image
     if image.shape[2] < 3:
@@ -101,9 +101,9 @@ def grey(image: np.ndarray) -> np.ndarray:
 
 
 def write_image(path: str | Path, image: np.ndarray, product: Product | None = None) -> None:
-    """Write one grey image, (row, column), completely or not at all; the ending of `path` is the format.
-    A file at `path` is replaced; with a `product`, the mark of the file, only if it has the same mark and is
-    unchanged. FrameError if the image cannot be written."""
+    """Write a grey image, (row, column), completely or not at all; the ending of `path` gives the format.
+    Without a `product`, an existing file is replaced. With a `product` (kind and source of an output) it is
+    replaced only if it is an unchanged output of that kind and source. FrameError if writing fails."""
     path = Path(path)
     try:
         with atomic(path, product, replace=product is None) as draft:
@@ -120,8 +120,8 @@ def write_image(path: str | Path, image: np.ndarray, product: Product | None = N
 
 
 def fill_masked(image: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """Return a copy of an image, (row, column), whose pixels where the mask `covered` is true are grey.
-    Their level is the median of the other pixels, of every eighth row and column."""
+    """Return a copy of an image, (row, column), with one grey level where the mask `covered` is true.
+    This level is the median of the other pixels in every eighth row and column."""
     free = image[::8, ::8][~covered[::8, ::8]]
     out = image.copy()
     out[covered] = np.partition(free, free.size // 2)[free.size // 2] if free.size else 0

@@ -16,7 +16,7 @@ MAX_COMPRESSION = 2000  # pixels per byte of a file; zlib does not compress more
 
 def read_buffer(path: str | Path, frame: int | None = None) -> NDArray[Any]:
     """Return one image of a DaVis file (.im7), (row, column), in counts, by LaVision's package lvpyio.
-    `frame` is its index from 0, needed if the file has several. FrameError if that fails."""
+    `frame` is the index of the image, from 0; None is for a file of one image. FrameError if that fails."""
     path = Path(path)
     try:
         import lvpyio

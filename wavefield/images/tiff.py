@@ -1,7 +1,7 @@
 """Read TIFF files, decoded by tifffile and imagecodecs.
 
-Images stay as the sensor recorded them: orientation tags are ignored, because a rig belongs to the images as
-stored. Values are inverted if the tags say that 0 is white, so that large values are always bright.
+Images stay as stored: orientation tags are ignored, because cameras are calibrated with the stored images.
+Values are inverted if the tags say that 0 is white, so that large values are always bright.
 """
 
 import logging
@@ -47,7 +47,7 @@ class TiffImages:
         self.count = stacked if self._stacked else len(self._pages)
 
     def read(self, index: int) -> NDArray[Any]:
-        """Return the image at an index from 0, (row, column) or (row, column, RGB); else FrameError."""
+        """Return the image at an index, from 0: (row, column) or (row, column, RGB). FrameError if bad."""
         try:
             number = index if self._stacked else self._pages[index]
             page: Any = self.file.pages[0 if self._stacked else number]
@@ -64,7 +64,7 @@ class TiffImages:
             raise _corrupt(self.name, error) from None
 
     def _in_stack(self, page: Any, index: int) -> NDArray[Any]:
-        """Return the image at an index of an ImageJ stack that describes only its first image (`page`)."""
+        """Return the image at an index from 0 of an ImageJ stack, whose only `page` is the first image."""
         if page.compression != COMPRESSION.NONE:
             raise FrameError(f"{self.name} is a compressed stack with one directory; save each image")
         handle = self.file.filehandle
@@ -84,12 +84,12 @@ def _corrupt(name: str, error: Exception) -> FrameError:
 
 
 def _is_frame(page: tifffile.TiffPage) -> bool:
-    """Whether a page is an image, not a thumbnail or a mask."""
+    """Whether a TIFF page is an image in full size, not a thumbnail or a mask."""
     return not (page.is_reduced or page.is_mask)
 
 
 def refuse_page(page: Any, name: str) -> None:
-    """Raise FrameError if a page of the file `name` is of a kind that is not supported.
+    """Raise FrameError if a page of the TIFF file `name` is of a kind that is not supported.
     Supported are grey and colour images of real numbers, with a compression that tifffile decodes."""
     if page.dtype is not None and page.dtype.kind == "c":
         raise FrameError(f"{name} has complex pixels; save their magnitudes")
@@ -110,12 +110,12 @@ def refuse_page(page: Any, name: str) -> None:
 
 
 def _words(code: Any) -> str:
-    """Return a TIFF tag's value, such as a kind of compression, by name, or as a number if it has none."""
+    """Return the name of a TIFF tag's value, such as "LZW" for a compression; its number if it has none."""
     return getattr(code, "name", str(code))
 
 
 def _refuse_missing_parts(page: Any, size: int) -> None:
-    """Raise ValueError if a part of a page's pixels is empty, or lies beyond the `size` (bytes) of the file.
+    """Raise ValueError if some pixels of a TIFF page are empty, or lie beyond the `size` (bytes) of the file.
     Without this check tifffile would return zeros for the missing pixels."""
     ends = [start + count for start, count in zip(page.dataoffsets, page.databytecounts)]
     if not ends or min(page.databytecounts) == 0 or max(ends) > size:

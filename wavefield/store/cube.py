@@ -74,7 +74,7 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
 
 def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
-    """Open every variable in a cube's store, lazily, without what `open_cube` adds to them."""
+    """Open all variables of a cube's store lazily, before `open_cube` adds attributes and coordinates."""
     path = find_store(path)
     layout = read_layout(open_group(path))
     if chunks == "auto":
@@ -137,7 +137,7 @@ class CubeAccessor:
         self._cube = cube
 
     def flagged(self, name: str) -> xr.DataArray:
-        """Return where the variable ``quality`` has a flag: a DataArray of bool, (time, y, x).
+        """Return where the variable ``quality`` has the flag `name`: a DataArray of bool, (time, y, x).
         `name` is one of its ``flag_meanings``, such as "masked"; ValueError if there is no such flag."""
         flags = {flag.name.lower(): flag for flag in Quality if flag.name}
         if name not in flags:
@@ -147,13 +147,13 @@ class CubeAccessor:
 
     @property
     def gain(self) -> xr.Dataset:
-        """Gain (measured over true amplitude) for waves: ``gain_z``, ``gain_u``, ..., each (direction, k)."""
+        """Gain, measured over true wave amplitude: ``gain_z``, ..., each (direction, k = wavenumber)."""
         names = [f"gain_{name}" for name in "zuvw" if f"gain_{name}" in self._cube]
         return self._cube[names].reset_coords(names)
 
     @property
     def recipe(self) -> dict[str, Any]:
-        """All inputs of the cube (images, rig, grid, settings, ...) as in `Recipe`; empty if not stored."""
+        """All inputs of the cube (images, rig, grid, settings, ...), as in `Recipe`; empty if not stored."""
         return recipe_of(self._cube.attrs)
 
     @property

@@ -32,13 +32,13 @@ _UVMAT_ROLES = {  # variable of the cube: name and role in UVMAT
 
 
 class _Hdf5File(io.FileIO):
-    """A file object that keeps the first write error in `failure` instead of raising it.
-    The HDF5 library would crash on an exception."""
+    """A file object that keeps the first write error in `failure` instead of raising an exception.
+    An exception would crash the HDF5 library."""
 
     failure: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write `data`, and return its size in bytes; after a failure nothing more is written."""
+        """Write `data` and return its size in bytes; after a write error, return the size without writing."""
         left = memoryview(data).cast("B")
         size = len(left)
         while left and self.failure is None:
@@ -58,7 +58,7 @@ class _Hdf5File(io.FileIO):
 
 
 def _write_hdf5(cube: "xr.Dataset", path: Path) -> None:
-    """Write a Dataset as a NetCDF-4 file; the first OSError that occurs while writing is raised."""
+    """Write a Dataset as a NetCDF-4 file; raise the first OSError that occurred while writing."""
     with _Hdf5File(path, "w+") as file:
         try:
             cube.to_netcdf(file, engine="h5netcdf", format="NETCDF4")
@@ -121,13 +121,13 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
 
 
 def _product(cube: "xr.Dataset") -> Product:
-    """Return the mark of a NetCDF export, which allows a later export of the cube to replace the file."""
+    """Return the kind and source of a NetCDF export, which show that it may replace an older export."""
     return Product("netcdf export", source_of(cube))
 
 
 def write_netcdf(cube: "xr.Dataset", path: Path) -> None:
-    """Write a cube as a NetCDF-4 file with CF attributes; those of `cube` are changed in place.
-    StoreError if `path` exists and is not an export of the same cube."""
+    """Write a cube as a NetCDF-4 file with CF attributes; the attributes of `cube` are changed in place.
+    StoreError if `path` exists and is not an unchanged export of the same cube."""
     product = _product(cube)
     cube.attrs = {
         name: " ".join(value) if isinstance(value, list) else value for name, value in cube.attrs.items()
@@ -171,7 +171,7 @@ def _write_matlab(cube: "xr.Dataset", path: Path) -> None:
 
 
 def _write_uvmat(cube: "xr.Dataset", path: Path) -> None:
-    """Write a folder with one NetCDF 3 file per step for UVMAT, in metres, with y upwards.
+    """Write a folder with one NetCDF 3 file per step for the program UVMAT; coordinates are in metres.
     Variables are named as by UVMAT's `struct2nc`; its flag ``FF`` is 0 at nodes that were measured."""
     names = {name: theirs for name, (theirs, _) in _UVMAT_ROLES.items() if name in cube}
     out = cube[[*names, "quality"]].reset_coords(drop=True)

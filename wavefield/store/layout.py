@@ -81,8 +81,8 @@ def create_store(
     once: Mapping[str, np.ndarray | np.floating] | None = None,
 ) -> None:
     """Make an empty cube at `path`, complete or not at all; StoreError if something is already there.
-    `x` (nx,) and `y` (ny,) are the positions of the grid's nodes, m. `attributes` are added to those made
-    from the `recipe`. `once` has the values of variables known before the run, such as ``gain_z``."""
+    `x` (nx,) and `y` (ny,) are the positions of the nodes, m. `attributes` are added to those from the
+    `recipe` (all inputs). `once` has the values of variables known before the run, such as ``gain_z``."""
     frames = layout.first_frame + np.arange(layout.steps + 1)
     axes: dict[str, Any] = {
         "time": (frames[:-1] + 0.5) / recipe.frame_rate,
@@ -118,8 +118,8 @@ def create_store(
 
 
 def _add_chunked(group: zarr.Group, layout: StoreLayout, nodes: tuple[int, int], packing: bool) -> None:
-    """Add the empty fields, (time, y, x), and the ledger to the group of a cube with `nodes` = (ny, nx).
-    With `packing`, fields are stored in 16 bits."""
+    """Add the empty fields, (time, y, x), and the status arrays of steps and frames to the group of a cube.
+    `nodes` is (ny, nx). With `packing`, fields are stored in 16 bits."""
     n, steps = layout.steps, layout.chunk_steps
     inner = max(k for k in range(1, INNER_CHUNK_STEPS + 1) if steps % k == 0)
     for name in CUBE_FIELDS:
@@ -151,8 +151,8 @@ def _add_chunked(group: zarr.Group, layout: StoreLayout, nodes: tuple[int, int],
 def add_array(
     group: zarr.Group, row: Variable, values: np.ndarray | np.generic | None = None, **options: Any
 ) -> None:
-    """Create the array of the variable `row` in a group: with `values` in a single chunk, or empty if None.
-    Name, type, dimensions and attributes are those of `row`, unless `options` replace them."""
+    """Create the array of a variable in a group: with `values` in a single chunk, or empty if None.
+    Name, type, dimensions and attributes are those in `row`, unless `options` of Zarr replace them."""
     how: dict[str, Any] = {
         "name": row.name,
         "dtype": row.dtype,
@@ -235,7 +235,7 @@ def update_metadata(path: Path, attributes: Mapping[str, object]) -> None:
 
 
 def write_metadata(path: Path, data: dict[str, Any]) -> None:
-    """Write `data` as ``zarr.json`` with its checksum, completely or not at all; `data` is changed."""
+    """Write `data` as ``zarr.json``, completely or not at all, after adding a checksum to `data`."""
     data["attributes"][CHECKSUM] = _checksum(data)
     with atomic(path / "zarr.json", replace=True) as draft:
         draft.write_text(json.dumps(data, indent=1), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Read the progress of a run from the ledger of its cube: steps done and failed, and faults of frames."""
+"""Read the progress of a run from its cube: steps done and failed, and frames with faults."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path

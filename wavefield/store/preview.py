@@ -81,20 +81,20 @@ def _open(group: CubeGroup, thin: Thinning, mode: Literal["r", "r+"]) -> Any:
 
 
 def _chunk(group: CubeGroup, start: int) -> Path:
-    """Return the file of the preview's chunk that begins with step `start`."""
+    """Return the path of the preview's file for the chunk of steps that begins with step `start`."""
     number = start // read_layout(group).chunk_steps
     return Path(group.store_path.store.root / _GROUP / f"fields/c/0/0/0/{number}")
 
 
 def _thinned(fields: Mapping[str, NDArray[Any]], thin: Thinning) -> NDArray[np.int16]:
-    """Return fields (n, ny, nx) at the nodes of a preview: int16, (variable, y, x, n)."""
+    """Return `fields`, each (n, ny, nx), at the nodes of a preview, packed as int16: (variable, y, x, n)."""
     nodes = [fields[name][:, :: thin.every, :: thin.every].astype(np.float32) for name in thin.names]
     out = [in_16_bits(values, scale) for values, scale in zip(nodes, thin.scales)]
     return np.ascontiguousarray(np.moveaxis(np.array(out), 1, -1))
 
 
 def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any]]) -> None:
-    """Write the chunk that begins with step `start` into the preview of a cube; nothing without a preview.
+    """Write the chunk that begins with step `start` into the preview of a cube; do nothing if there is none.
     `fields` has the values of each variable in the chunk, (n, ny, nx), at all nodes of the cube."""
     thin = thinning(group)
     preview = _open(group, thin, "r+")
@@ -105,8 +105,8 @@ def write_preview(group: CubeGroup, start: int, fields: Mapping[str, NDArray[Any
 
 
 def read_thinned(group: CubeGroup, thin: Thinning, start: int, stop: int) -> NDArray[np.int16]:
-    """Return the thinned fields of the chunk of steps `start` to `stop` - 1: int16, (variable, y, x, n).
-    They are read from the preview, or from the cube itself if the preview has no such chunk."""
+    """Return the fields of the chunk of steps `start` to `stop` - 1 at the nodes in `thin`, packed as int16.
+    The array, (variable, y, x, n), is read from the preview, or else from the cube itself."""
     preview = _open(group, thin, "r")
     with suppress(Exception):  # as above
         if _chunk(group, start).is_file():

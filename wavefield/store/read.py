@@ -29,17 +29,17 @@ class CubeStore(LocalStore):
     Zarr alone would return missing values. A file whose steps are still to be measured may be absent."""
 
     async def get(self, key: str, *arguments: Any, **keywords: Any) -> Any:
-        """Read a file or a part of it (interface of Zarr stores)."""
+        """Return the content of the file `key`, or a part of it (interface of Zarr stores)."""
         found = await super().get(key, *arguments, **keywords)
         return found if found is not None and len(found) else self._refuse_absent(key)
 
     def get_sync(self, key: str, **keywords: Any) -> Any:
-        """Read a file or a part of it (interface of Zarr stores)."""
+        """Return the content of the file `key`, or a part of it (interface of Zarr stores)."""
         found = super().get_sync(key, **keywords)
         return found if found is not None and len(found) else self._refuse_absent(key)
 
     async def get_partial_values(self, prototype: Any, key_ranges: Iterable[Any]) -> Any:
-        """Read parts of files (interface of Zarr stores)."""
+        """Return the contents of parts of files (interface of Zarr stores)."""
         return [await self.get(key, prototype, part) for key, part in key_ranges]
 
     def _refuse_absent(self, key: str) -> None:
@@ -58,7 +58,7 @@ class CubeStore(LocalStore):
 
 def _is_expected(root: Path, name: str, place: str) -> bool:
     """Whether the cube `root` should contain the file `place`, such as "3/0/0", of the array `name`.
-    Before the end of the run, only those of the axes and of measured chunks are certain to be there."""
+    Before the run ends, only the files of the axes and of measured chunks are certain to exist."""
     attributes = read_metadata(root)["attributes"]
     if name not in CHUNKED or attributes.get(FINISHED):
         return True

@@ -17,7 +17,7 @@ from wavefield.errors import StoreError
 
 
 def recipe_of(attributes: Mapping[Any, Any]) -> dict[str, Any]:
-    """Return the recipe in the attributes of a cube, as plain data; empty if there is none."""
+    """Return the recipe (all inputs) from the attributes of a cube, as plain data; empty if there is none."""
     try:
         return dict(json.loads(attributes["recipe"]))
     except (KeyError, TypeError, ValueError):
@@ -60,7 +60,7 @@ class Recipe:
 
     @property
     def hash(self) -> str:
-        """A hash (sixteen hexadecimal digits) of the entries on which values depend: all but `_LABELS`."""
+        """A hash (sixteen hexadecimal digits) of the entries on which the cube's values depend."""
         values = {name: value for name, value in asdict(self).items() if name not in _LABELS}
         text = json.dumps(values, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -75,7 +75,7 @@ def _software() -> dict[str, str]:
 
 def differences(old: str, new: str) -> list[str]:
     """Return a line, such as "grid.step: 0.01 there, 0.02 here", for each difference between two recipes.
-    `old` ("there") and `new` are JSON text. Entries that are not part of the hash are not compared."""
+    `old` ("there") and `new` ("here") are JSON text. Entries on which no value depends are not compared."""
     a, b = dict(_leaves(json.loads(old))), dict(_leaves(json.loads(new)))
     keys = [key for key in {**a, **b} if key.partition(".")[0] not in _LABELS and a.get(key) != b.get(key)]
     return [f"{key}: {a.get(key)!r} there, {b.get(key)!r} here" for key in keys]
@@ -108,7 +108,7 @@ def state_of(cube: Any) -> str:
 
 
 def check_recipe(path: Path, attributes: Mapping[str, Any], recipe: Recipe) -> None:
-    """Raise StoreError, with two differences, if the cube at `path` was made with another recipe."""
+    """Raise StoreError, which names two differences, if the cube at `path` was made with another recipe."""
     if attributes["recipe_hash"] == recipe.hash:
         return
     found = differences(str(attributes["recipe"]), recipe.to_json())

@@ -113,7 +113,7 @@ def open_waves(path: str | Path) -> xr.DataTree:
 
 
 def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> None:
-    """Write or replace the statistics of camera pairs in a cube, the steps of which have this `state`."""
+    """Write or replace the error statistics of camera pairs in a cube; `state` is its hash (`state_of`)."""
     attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
     with writing(path / PAIR_GROUP):
         shutil.rmtree(path / PAIR_GROUP, ignore_errors=True)
@@ -125,8 +125,8 @@ def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> Non
 
 def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
     """Load the error statistics of a cube's camera pairs; None if there are none or they were changed.
-    They are ``rms`` and ``beyond`` (error), ``density`` (error, bin), and coordinates that describe each
-    error. The attribute ``cube_state`` is the state of the cube's steps at the time (`state_of`)."""
+    For each error they hold ``rms``, ``beyond`` (fraction of values beyond 3 rms) and ``density`` (error,
+    bin). The attribute ``cube_state`` is a hash of the cube at the time (`state_of`)."""
     path = Path(store) / PAIR_GROUP
     mark = read_mark(path)
     if mark is None or mark.kind != _PAIRS:

@@ -125,7 +125,7 @@ def read_verdict(store: str | Path) -> Verdict | None:
 
 
 def check_verdict(store: Path) -> None:
-    """Raise StoreError if a file that is not a verdict has the name of the cube's verdict."""
+    """Raise StoreError if the file name of the cube's verdict is taken by a file that is not a verdict."""
     path = beside(store, "verdict", ".json")
     try:
         known = read_verdict(store) is not None
@@ -135,5 +135,5 @@ def check_verdict(store: Path) -> None:
 
 
 def _checksum(data: Mapping[str, object]) -> int:
-    """Return the CRC-32 of a verdict's plain data."""
+    """Return the CRC-32 of a verdict given as plain data."""
     return zlib.crc32(json.dumps(data, sort_keys=True).encode())

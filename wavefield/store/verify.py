@@ -37,7 +37,7 @@ class Verification:
 
     @property
     def sound(self) -> bool:
-        """Whether nothing is missing or damaged."""
+        """Whether the store is complete and undamaged."""
         return not self.damages
 
     @property

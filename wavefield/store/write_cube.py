@@ -37,7 +37,7 @@ def write_chunk(
 ) -> None:
     """Write all results of the chunk that begins with step `start` into the cube at `path`.
     `fields` has the variables `CUBE_FIELDS`, (n, ny, nx), in SI units (px for ``eps_piv``), `frame_status`
-    (n,) the `FrameStatus` of each step, and `faults` each bad frame's fault, by camera and index."""
+    (n,) the `FrameStatus` of each step, and `faults` the faults of bad frames by camera and frame index."""
     group = open_group(path, "r+")
     layout = read_layout(group)
     stop = min(start + layout.chunk_steps, layout.steps)
@@ -65,7 +65,7 @@ def write_chunk(
 
 
 def clear_steps(path: Path, steps: Sequence[int]) -> None:
-    """Clear the values of those of `steps` (indices) that were measured, and mark them as discontinuous.
+    """Clear the values of the measured steps among `steps` (indices), and mark them as discontinuous in time.
     Cleared values are NaN, and 0 in ``quality``. The status of all steps is written before any value, so that
     the next run can finish the work after an interruption."""
     group = open_group(path, "r+")
@@ -91,7 +91,7 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
 
 
 def relabel(path: Path, name: str, description: Mapping[str, object]) -> list[str]:
-    """Set the name and the attributes `DESCRIPTION` of a cube; those that `description` lacks are removed.
+    """Set the experiment's name and the attributes `DESCRIPTION` of a cube; absent ones are removed.
     Returns a line for each change, with the old value ("there") and the new value ("here")."""
     labels = {"experiment": name, "title": title(name), **dict.fromkeys(DESCRIPTION), **description}
     there = open_group(path).attrs
@@ -108,7 +108,7 @@ def _write_ledger(path: Path, group: CubeGroup, start: int, frame_status: np.nda
 
 
 def _to_disk(path: Path, chunk: int, names: Sequence[str]) -> None:
-    """Wait until the files of the chunk number `chunk`, from 0, in the arrays `names` are on the disk."""
+    """Wait until the files of the chunk number `chunk`, from 0, of the arrays `names` are on the disk."""
     folders: dict[Path, None] = {}
     for name in names:
         file = chunk_path(path, name, chunk)
