@@ -199,8 +199,7 @@ def _map_here(work: Work, items: Sequence[Any]) -> Results:
 
 def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Sequence[Any]) -> Results:
     """Yield each item with the result of `work(item)`, or with the exception raised, in order of completion.
-    At most `workers` workers are used, and `watch(client)` checks them. StoreError if the scheduler is
-    lost."""
+    `workers` is their greatest number; `watch(client)` checks them. StoreError if the scheduler is lost."""
     from distributed import CancelledError, wait
 
     packed, mark = pickle.dumps(work), uuid.uuid4().hex

@@ -33,7 +33,7 @@ def slurm_cluster(workflow: Workflow, logs: Path) -> Any:
     from distributed.deploy.spec import ProcessInterface
 
     class Job(SLURMJob):
-        """A Slurm job that keeps the reason if sbatch refuses it; Dask would print a traceback and wait."""
+        """A Slurm job that keeps the reason if sbatch refuses it; Dask alone would wait forever."""
 
         refused = ""
 

@@ -20,7 +20,7 @@ Image = NDArray[Any]
 
 def mean_image(series: FrameSeries, frames: int) -> Image:
     """Return the mean, (row, column), of at most `frames` evenly spaced frames of a camera.
-    It has the type of the frames. Bad frames are left out; FrameError if none of these can be read."""
+    It has the type of the frames. Bad frames are left out; FrameError if all chosen frames are bad."""
     total, count = np.zeros(series.shape), 0
     for index in evenly_spaced(len(series), frames):
         image = series.read(int(index)).image
@@ -59,7 +59,7 @@ def refuse_other_images(
     background: Image, name: str, shape: tuple[int, ...], dtype: str, experiment: Path
 ) -> None:
     """Raise ExperimentError if the `background` of the camera `name` differs from its frames.
-    Frames have the `shape` (rows, columns) and the `dtype`; the message names the file `experiment`."""
+    Frames have the given `shape` (rows, columns) and `dtype`; the message names the file `experiment`."""
     if background.shape != shape or background.dtype != dtype:
         raise ExperimentError(
             f"{experiment}: background of {name}: it is {background.shape[1]} x {background.shape[0]} "

@@ -47,8 +47,8 @@ def own_times(images: Images, camera: str, folder: Path, frame_rate: float) -> T
 
 def refuse_other_rate(times: Times, frame_rate: float, words: str) -> None:
     """Raise ExperimentError if increasing time stamps, (n,), s, contradict a frame rate, Hz.
-    The mean interval, without dropped frames, may differ by 1 %, or by the range of the intervals over their
-    number. `words` begin the message; ``{rate:g}`` in them becomes the rate of the time stamps, Hz."""
+    Their mean interval, dropped frames aside, may differ by 1 %, or by the range of the intervals divided by
+    their number. `words` begin the message; ``{rate:g}`` in them becomes the rate of the time stamps, Hz."""
     usual = usual_intervals(times)
     if not len(usual):
         return
@@ -110,8 +110,8 @@ def place_by_time(
 
 def place_by_intervals(numbered: Numbered, times: Times) -> Numbered:
     """Return a camera's frames with new numbers from the intervals between their times, (n,), s.
-    The first frame keeps its number. All frames do if an interval is not near a multiple of the mean
-    interval, or if the new numbers span over 100 times the number of frames."""
+    The first frame keeps its number. No number changes if an interval is not near a multiple of the mean
+    interval, or if there would be over 100 numbers per frame."""
     passed = np.diff(times) / usual_interval(times)
     steps = np.rint(passed)
     several_records = steps.sum() > MAX_NUMBERS_PER_FRAME * len(steps)
@@ -202,15 +202,15 @@ def is_video(path: Path) -> bool:
 
 
 def recordings_of(images: object, camera: str, folder: Path) -> list[Path]:
-    """Return the paths in `folder` of a camera's recordings; `images` is its entry in the experiment file.
-    The list is empty if any of the named files does not have the ending of a recording."""
+    """Return the paths in `folder` of a camera's recordings, from its entry `images` in the experiment file.
+    The list is empty if any file in the entry does not have the ending of a recording."""
     names = images if isinstance(images, list) else [images]
     paths = [folder / name.replace("{camera}", camera) for name in names if isinstance(name, str)]
     return paths if len(paths) == len(names) and all(map(recording_path, paths)) else []
 
 
 def one_rate(rates: Mapping[str, float], path: Path) -> float | None:
-    """Return the frame rate, Hz, of recordings, from the `rates` of the cameras; None without rates.
+    """Return the frame rate, Hz, of the recordings of all cameras; None if there are no `rates`.
     ExperimentError, which names the file `path`, if a rate differs from the first by more than 1 %."""
     if not rates:
         return None

@@ -138,7 +138,7 @@ def _smoothed(path: Path) -> xr.Dataset:
 
 def _camera(series: FrameSeries, departures: np.ndarray | None) -> xr.Dataset:
     """Return a Dataset of one camera: ``image`` (time, row, column), and whether it is ``present`` (time).
-    If given, `departures`, (n,), the delays of the frames in frame intervals, are a coordinate."""
+    `departures`, (n,), the delays of the frames in frame intervals, become a coordinate, unless None."""
     array = FrameArray(series)
     image = xr.Variable(
         ("time", "row", "column"),

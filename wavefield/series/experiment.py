@@ -294,8 +294,8 @@ def _refuse_same_place(source: object, rig: Rig, names: Sequence[str]) -> None:
 
 def _elevations_in_view(settings: Mapping[str, Any]) -> float | tuple[float, float] | None:
     """Return the elevations, m, at which all cameras must see an automatic grid.
-    They are the setting ``z_range``, (low, high), or else half of ``sheet_thickness``, which is meant up and
-    down; None if neither is set."""
+    They are (low, high), from ``z_range``, or h, for -h to h, half of ``sheet_thickness``; None if not
+    set."""
     try:
         if settings.get("z_range"):
             low, high = settings["z_range"]

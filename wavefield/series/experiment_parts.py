@@ -54,7 +54,7 @@ class FramesSection(ConfigSection):
 
 
 class RecordSection(ConfigSection):
-    """The record of an experiment: name, frame rate, cameras, images, and the range of frames to use."""
+    """The images of an experiment: name, frame rate, cameras, and the range of frame numbers to use."""
 
     name: Name = Field(examples=["coriolis-07"])
     description: str = ""

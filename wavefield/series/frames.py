@@ -85,8 +85,8 @@ class FrameSeries:
     mask : CameraMask, optional
         Masked pixels, the same in all frames.
     beyond : tuple of int
-        Number of frames that this camera has before and after the record. The other cameras, or ``frames`` of
-        the experiment file, limit the record.
+        How many frames this camera has before and after the record, which is limited by the other cameras or
+        by ``frames`` in the experiment file.
     times : ndarray, (n,), optional
         Time of each frame by the camera's own clock, s; NaN where it is missing.
     background : ndarray, (row, column), optional
@@ -138,7 +138,7 @@ class FrameSeries:
         return frame._replace(image=subtracted(frame.image, self.background))
 
     def covered(self, index: int) -> NDArray[np.bool_] | None:
-        """Return a mask (row, column), true at masked pixels, the same for all frames; or None."""
+        """Return the camera's mask (row, column), true at masked pixels, at any index; None without one."""
         return None if self.mask is None else covered_pixels(self.mask)
 
     def read_uncovered(self, index: int) -> np.ndarray | None:
@@ -156,8 +156,8 @@ class FrameSeries:
 def is_interlaced(series: FrameSeries) -> bool:
     """Whether odd and even rows were exposed at two moments; up to five of a camera's images are examined.
     Let D_k be the rms difference between rows k apart. D_1 D_4 / D_2^2 is 0.7 to 1 in an image of one moment,
-    and about 1.1 if particles moved between two moments. A colour mosaic raises it between columns as well;
-    such images are not taken for interlaced."""
+    and about 1.1 if particles moved between two moments. A colour mosaic raises this ratio for columns too;
+    such images do not count as interlaced."""
     found = []
     for index in np.unique(np.linspace(0, len(series) - 1, 5).astype(int)):
         image = series.read(int(index)).image
@@ -176,7 +176,7 @@ def subtracted(image: NDArray[Any], background: NDArray[Any]) -> NDArray[Any]:
 
 
 def check_content(image: np.ndarray, place: str) -> Frame:
-    """Return a `Frame`: the image, or a fault of the frame `place` if the image is blank or not finite."""
+    """Return a `Frame` with the image, or a fault if it is blank or not finite; `place` names the frame."""
     if image.dtype.kind == "f" and not np.isfinite(image).all():
         bad = int(image.size - np.isfinite(image).sum())
         return Frame(None, FrameFault.UNREADABLE, f"{place} has {bad} pixels that are not finite numbers")

@@ -52,7 +52,7 @@ def number_frames(images: Images, folder: Path, camera: str) -> Numbered:
 
 
 def _count_images(path: str | Path, camera: str) -> tuple[Kind, int]:
-    """Return `count_images(path)`; ExperimentError if it fails, or finds over five million images."""
+    """Return ("file" or "images", number of images) of a path; ExperimentError if bad or over 5 million."""
     try:
         kind, count = count_images(path)
     except FrameError as error:
@@ -84,7 +84,7 @@ def _from_list(images: Sequence[str | None], folder: Path, camera: str) -> Numbe
 
 
 def _names(path: Path, camera: str) -> dict[int, str]:
-    """Return the names of the files that match a pattern (``cam1/img_{frame}.tif``), by frame number."""
+    """Return the file names that match the pattern `path`, such as ``img_{frame}.tif``, by frame number."""
     folder, pattern = path.parent, path.name
     try:
         names = os.listdir(folder)
@@ -143,7 +143,7 @@ def make_series(
 
 
 def _usual_kind(entries: Sequence[FrameEntry | None], camera: str) -> tuple[tuple[int, int], str]:
-    """Return the shape (rows, columns) and type of images, from the first of five that is readable."""
+    """Return the shape (rows, columns) and type of images, from the first readable one of five tried."""
     present = [entry for entry in entries if entry is not None]
     tried = [present[k] for k in from_first_to_last(len(present), 5)] if present else []
     problem = "there are none in the range of frames"
@@ -164,7 +164,7 @@ def find_views(
     section: CalibrationSection, cameras: Iterable[str], folder: Path, experiment: Path
 ) -> dict[str, dict[str, Path]]:
     """Return the paths of the images of the calibration target in `folder`, by camera and then by pose.
-    A pose is a position of the target. Its name is the part of the file name that varies, or ``flat`` on the
+    A pose (position of the target) is named by the part of the file name that varies, or ``flat`` on the
     water. CalibrationError, which names the file `experiment`, if a camera has no target image."""
 
     def no_images(camera: str, patterns: Sequence[str]) -> CalibrationError:

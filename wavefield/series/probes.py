@@ -116,7 +116,7 @@ def numbered_lines(path: Path, what: str) -> list[tuple[int, str]]:
 
 
 def _names(path: Path, number: int, line: str) -> list[str]:
-    """Return the column names in a probe file's header `line`, ``time,NAME,...``, of line number `number`."""
+    """Return the column names in `line`, the header ``time,NAME,...`` of a probe file, at line `number`."""
     names = [name.strip().strip('"') for name in line.split(",")]
     odd = any(not name or set(name) & set("[](){}") for name in names)
     if len(names) < 2 or names[0] != "time" or odd or len(set(names)) < len(names):
@@ -146,7 +146,7 @@ def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArra
 
 
 def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> None:
-    """Raise ExperimentError if times, s, do not increase, or if their median interval is over 2 s."""
+    """Raise ExperimentError if times, s, in lines `numbers` do not increase, or are over 2 s apart."""
     steps = np.diff(times)
     if not (steps > 0).all():
         later = int(np.argmin(steps > 0)) + 1

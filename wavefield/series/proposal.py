@@ -66,7 +66,7 @@ def image_paths(folder: Path) -> list[str]:
 def find_series(paths: Sequence[str]) -> list[NumberedImages]:
     """Group `paths` into series of numbered images, sorted by the patterns of their names.
     Among names that differ only in digits, the group of digits with the most values is the frame number.
-    Other groups that vary become ``*`` if frame numbers are unique, else a series per value."""
+    Other digits become ``*`` where they vary, or separate the series if frame numbers would repeat."""
     alike: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for path in paths:
         folder, _, name = path.rpartition("/")
@@ -91,7 +91,7 @@ def find_series(paths: Sequence[str]) -> list[NumberedImages]:
 
 
 def camera_names(patterns: Sequence[str]) -> list[str]:
-    """Return a camera name per pattern: its folder, if all folders are distinct words, or cam1, cam2, ..."""
+    """Return a camera name for each pattern: its folder, if all are distinct words, or cam1, cam2, ..."""
     folders = [pattern.rpartition("/")[0].rpartition("/")[2] for pattern in patterns]
     words = {folder for folder in folders if re.fullmatch("[A-Za-z][A-Za-z0-9_]+", folder)}
     return folders if len(words) == len(patterns) else [f"cam{k}" for k in range(1, len(patterns) + 1)]
@@ -103,7 +103,7 @@ def propose(folder: str | Path) -> str:
     Parameters
     ----------
     folder : path
-        Folder of the images of all cameras. Each camera has a folder in it, or its own part of the names.
+        Folder of the images of all cameras. Each camera has a subfolder, or file names of its own.
 
     Returns
     -------

@@ -43,7 +43,7 @@ def open_record(
 
 def _refuse_sparse_numbers(path: Path, numbered: Sequence[Numbered], first: int, last: int) -> None:
     """Raise ExperimentError if there are far fewer frames than frame numbers from `first` to `last`.
-    The limits are 100 numbers per frame, and five million. A negative `first` must not precede all frames."""
+    Allowed are 100 numbers per frame and five million, but no negative `first` before all frames."""
     lowest = min(min(frames) for frames in numbered)
     if first < min(lowest, 0):
         raise ExperimentError(f"{path}: frames.first is {first}, but the first frame there is {lowest}")

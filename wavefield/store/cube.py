@@ -36,9 +36,9 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
     Dataset
         The variables of `wavefield.variables`. Steps that are not yet measured are NaN, and so are steps at
         frames that the run found lost, doubled or late (``frame_status`` 4). The names of the cameras and the
-        gain for waves (``gain_z``, ...) are coordinates. Every field has as attributes ``path_frames`` (how
-        velocities follow from frames) and the depth and surface tension of the water, if they were given, so
-        that ``cube.w`` keeps them.
+        ratio of measured to true wave amplitude (``gain_z``, ...) are coordinates. Every field has as
+        attributes ``path_frames`` (how velocities follow from frames) and the depth and surface tension of
+        the water, if they were given, so that ``cube.w`` keeps them.
         The accessor ``cube.wavefield`` reads the recipe, the rig, the gain and the flags of `quality`.
 
     Raises
@@ -74,7 +74,7 @@ def open_cube(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
 
 
 def open_stored(path: str | Path, chunks: Chunks = "auto") -> xr.Dataset:
-    """Open all variables of a cube's store lazily, before `open_cube` adds attributes and coordinates."""
+    """Open all variables of a cube's store lazily, without the coordinates that `open_cube` adds."""
     path = find_store(path)
     layout = read_layout(open_group(path))
     if chunks == "auto":

@@ -78,8 +78,8 @@ def verify(store: str | Path, progress: Callable[[int, int], None] | None = None
     Returns
     -------
     Verification
-        Damaged chunks of a cube are also marked as not measured, if the cube can be written; the next run
-        measures them again. Waves and smoothed fields have one digest for the whole store.
+        The missing and damaged parts. Damaged chunks of a cube are also marked as not measured, if the cube
+        can be written; the next run measures them again. Other stores have one checksum for the whole.
 
     Raises
     ------

@@ -91,7 +91,7 @@ def clear_steps(path: Path, steps: Sequence[int]) -> None:
 
 
 def relabel(path: Path, name: str, description: Mapping[str, object]) -> list[str]:
-    """Set the experiment's name and the attributes `DESCRIPTION` of a cube; absent ones are removed.
+    """Set the experiment's name and the attributes `DESCRIPTION` of a cube; those not given are removed.
     Returns a line for each change, with the old value ("there") and the new value ("here")."""
     labels = {"experiment": name, "title": title(name), **dict.fromkeys(DESCRIPTION), **description}
     there = open_group(path).attrs

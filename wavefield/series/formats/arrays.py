@@ -27,7 +27,7 @@ SECONDS = {
 
 
 class _Dataset(Recording):
-    """An HDF5 dataset (image, row, column) as a `Recording`; its frame rate is an attribute or from times."""
+    """An HDF5 dataset (image, row, column) as a `Recording`; the frame rate is stored or from times."""
 
     def __init__(self, path: Path, file: h5py.File, data: h5py.Dataset) -> None:
         self.path, self._file, self._data = path, file, data

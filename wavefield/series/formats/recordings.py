@@ -346,7 +346,7 @@ def open_davis(path: Path) -> Recording:
 
 
 def _buffers_in_order(buffers: list[Path]) -> list[Path]:
-    """Return the paths of .im7 files sorted by the number at the end of their names, or else as text.
+    """Return the paths of .im7 files sorted by the number at the end of their names, or else by name.
     For a missing number, the path that its file should have is inserted, so that reading it fails."""
     ends = [re.search(r"(?<!\d)\d{1,6}$", path.stem) for path in buffers]
     numbered = {int(end[0]): path for end, path in zip(ends, buffers) if end}

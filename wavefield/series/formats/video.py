@@ -93,11 +93,11 @@ class Video(Recording):
         raise FrameError(f"{self.path}, image {index}: cannot be decoded; is it damaged?")
 
     def _key(self, stamp: int) -> int:
-        """Return the time (in ticks) of the last key frame, coded without others, at or before `stamp`."""
+        """Return the time, in clock ticks, of the last key frame (coded without others) up to `stamp`."""
         return max((pts for pts, _ in self._keys if pts <= stamp), default=self._stamps[0])
 
     def _seek(self, stamp: int) -> None:
-        """Move to the last key frame at or before the time `stamp` (in ticks), or else to the first frame."""
+        """Move to the last key frame up to the time `stamp`, in clock ticks, or else to the first frame."""
         key = dict(self._keys).get(self._key(stamp))
         if not self._timed or key is None:
             self._rewind()
