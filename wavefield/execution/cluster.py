@@ -199,7 +199,7 @@ def _map_here(work: Work, items: Sequence[Any]) -> Results:
 
 def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Sequence[Any]) -> Results:
     """Yield each item with the result of `work(item)`, or with the exception raised, in order of completion.
-    `workers` is their greatest number; `watch(client)` checks them. StoreError if the scheduler is lost."""
+    Up to `workers` Dask workers run; `watch(client)` checks them. StoreError if the scheduler is lost."""
     from distributed import CancelledError, wait
 
     packed, mark = pickle.dumps(work), uuid.uuid4().hex
@@ -231,7 +231,7 @@ def _map_on(client: "Client", watch: Watch, workers: int, work: Work, items: Seq
 
 
 def _result(task: Any) -> Any:
-    """Return the result of a finished Dask task, or its exception; Dask's own ones are explained."""
+    """Return the result of a finished Dask task, or its exception, with a remedy if Dask raised it."""
     from distributed import CancelledError, KilledWorker
 
     try:

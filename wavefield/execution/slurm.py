@@ -134,7 +134,7 @@ def _processes(workflow: Workflow) -> int:
 
 
 def count_jobs(workflow: Workflow) -> tuple[int, int]:
-    """Return the least and the greatest number of Slurm jobs of a workflow; both are 1 for ``auto``."""
+    """Return the least and the greatest number of Slurm jobs of a workflow; 1 and 1 for ``auto`` workers."""
     workers, processes = workflow.workers, _processes(workflow)
     if workers == "auto":
         return 1, 1

@@ -146,7 +146,8 @@ def _table(path: Path, names: list[str], lines: list[tuple[int, str]]) -> NDArra
 
 
 def _check_times(path: Path, times: NDArray[np.float64], numbers: list[int]) -> None:
-    """Raise ExperimentError if times, s, in lines `numbers` do not increase, or are over 2 s apart."""
+    """Raise ExperimentError if times, s, do not increase, or if their median interval is over 2 s.
+    The message names a line of the file; `numbers` has the line number of each time."""
     steps = np.diff(times)
     if not (steps > 0).all():
         later = int(np.argmin(steps > 0)) + 1

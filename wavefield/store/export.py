@@ -121,7 +121,7 @@ def export(store: str | Path, path: str | Path, steps: slice | None = None) -> N
 
 
 def _product(cube: "xr.Dataset") -> Product:
-    """Return the kind and source of a NetCDF export, which show that it may replace an older export."""
+    """Return the kind and source recorded in a NetCDF export, so that a later export may replace it."""
     return Product("netcdf export", source_of(cube))
 
 

@@ -152,7 +152,7 @@ def add_array(
     group: zarr.Group, row: Variable, values: np.ndarray | np.generic | None = None, **options: Any
 ) -> None:
     """Create the array of a variable in a group: with `values` in a single chunk, or empty if None.
-    Name, type, dimensions and attributes are those in `row`, unless `options` of Zarr replace them."""
+    Name, type, dimensions and attributes are those of `row`; `options`, keywords of Zarr, replace them."""
     how: dict[str, Any] = {
         "name": row.name,
         "dtype": row.dtype,

@@ -50,8 +50,8 @@ class Status:
     steps : int
         Number of steps of the whole run.
     done, faulty, failed : int
-        Numbers of steps that were measured from good frames, were measured although some frames were bad, and
-        could not be measured. `done` includes steps without values next to lost or late frames.
+        Numbers of steps that were measured from good frames (`done`), were measured although a frame was bad,
+        and could not be measured. `done` includes steps without values next to lost or late frames.
     failed_steps : tuple of int
         Number of the first frame of each failed step.
     bad_frames : tuple of BadFrames
@@ -140,6 +140,7 @@ def status(store: str | Path) -> Status:
     Returns
     -------
     Status
+        Numbers of steps, the bad frames, and the verdict (remarks on the cube).
 
     Raises
     ------

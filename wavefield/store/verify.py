@@ -124,7 +124,7 @@ def _damages(
     path: Path, group: CubeGroup, layout: StoreLayout, number: int, read: bool = True
 ) -> Iterator[Damage]:
     """Yield the damage of the chunk `number`, from 0, of a cube; none if no run has written the chunk.
-    Without `read` only ``frame_status`` is read, and other variables are checked for missing files."""
+    If `read` is false, only ``frame_status`` is read, and other variables are checked for missing files."""
     start, stop = layout.chunks()[number]
 
     def damage(name: str) -> Damage:
