@@ -197,7 +197,7 @@ def stated_by_recordings(cameras: Mapping[str, object], folder: Path) -> dict[st
 
 
 def is_video(path: Path) -> bool:
-    """Whether a path has the ending of a video file, in which times are those of the playback."""
+    """Whether a path has the ending of a video file; times in a video are those of the playback."""
     return path.suffix.lower() in VIDEO_ENDINGS
 
 

@@ -210,7 +210,7 @@ class Experiment(RecordSection):
 
     @property
     def rig_paths(self) -> list[Path]:
-        """Absolute paths of the rig files; by default the one of ``rig.yaml`` next to the experiment file."""
+        """Absolute paths of the rig files; by default only ``rig.yaml`` next to the experiment file."""
         named = list(self.rig.values()) if isinstance(self.rig, dict) else [self.rig or "rig.yaml"]
         return [self.resolve(file) for file in named]
 

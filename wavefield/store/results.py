@@ -113,7 +113,7 @@ def open_waves(path: str | Path) -> xr.DataTree:
 
 
 def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> None:
-    """Write or replace the error statistics of camera pairs in a cube; `state` is its hash (`state_of`)."""
+    """Write or replace statistics of errors between a cube's cameras; `state` is the hash of the cube."""
     attributes = statistics.attrs | {name: statistics[name].values.tolist() for name in _TEXTS}
     with writing(path / PAIR_GROUP):
         shutil.rmtree(path / PAIR_GROUP, ignore_errors=True)
@@ -124,9 +124,9 @@ def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> Non
 
 
 def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
-    """Load the error statistics of a cube's camera pairs; None if there are none or they were changed.
-    For each error they hold ``rms``, ``beyond`` (fraction of values beyond 3 rms) and ``density`` (error,
-    bin). The attribute ``cube_state`` is a hash of the cube at the time (`state_of`)."""
+    """Load statistics of the errors between a cube's cameras; None if there are none or they were changed.
+    Each error has ``rms``, ``beyond`` (fraction of values beyond 3 rms), ``density`` (error, bin) and
+    coordinates that describe it. The attribute ``cube_state`` is the hash of the cube at that time."""
     path = Path(store) / PAIR_GROUP
     mark = read_mark(path)
     if mark is None or mark.kind != _PAIRS:
