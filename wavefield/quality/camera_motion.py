@@ -44,7 +44,7 @@ MIN_VELOCITY = 0.03  # px per frame, rms after the fit of linear terms: less is 
 
 @dataclass(frozen=True)
 class Delay:
-    """The delay of one camera behind another, or of the reading of an image row behind the row above."""
+    """Measured time by which a camera is later than another, or an image row later than the row above."""
 
     seconds: float  # Delay, s; negative if earlier
     std: float  # Standard uncertainty, s
@@ -52,7 +52,7 @@ class Delay:
 
 @dataclass(frozen=True)
 class Sample:
-    """Means over each of the m patches of the water that two cameras match at one frame."""
+    """Mean epipolar error and velocity in each of m patches of the water, for two cameras at one frame."""
 
     eps_y: Array  # (m,): Mean epipolar error, px on the water
     velocity: Array  # (m,): Velocity of the beads across the parallax, px per frame
@@ -76,9 +76,9 @@ class Synchrony(NamedTuple):
 def sample(
     geometry: "GridGeometry", pair: Pair, flat: Mapping[str, Any], displacement: NDArray[np.floating]
 ) -> Sample | None:
-    """Match two cameras at one frame, and average over patches; None without an image or with few matches.
-    ``flat`` holds the filtered image of each camera. ``displacement`` (3, ny, nx) is the displacement of the
-    water along x, y and z at the grid nodes, metres per frame, NaN where not measured."""
+    """Match the images of two cameras at one frame, and average epipolar error and velocity over patches.
+    None if an image is missing or few patches match. ``flat`` holds filtered images by camera;
+    ``displacement`` (3, ny, nx) is that of the water along x, y, z at the nodes, metres per frame, or NaN."""
     from wavefield.measurement.elevation import match_pair
 
     if not all(name in flat for name in pair):
@@ -115,14 +115,14 @@ def sample(
 
 def _sight_slope(camera: "Camera", axis: int, v: Array) -> Array:
     """Return the slope dx/dz (``axis`` 0) or dy/dz (``axis`` 1) of sight lines of a camera.
-    ``v`` are their coordinates along this axis on z = 0, metres."""
+    ``v`` holds the coordinates, along this axis, of the points where the lines cross z = 0, metres."""
     return np.asarray((v - camera.centre[axis]) / -camera.centre[2])
 
 
 def _patch_means(values: Array, side: float) -> Array:
-    """Average quantities over square patches: ``values`` (quantity, block) becomes (quantity, patch).
-    The first two quantities are x and y of the blocks, and ``side`` is the side of a patch in their unit.
-    Patches with less than half of the blocks of the fullest patch are left out."""
+    """Average quantities at interrogation blocks, ``values`` (quantity, block), to (quantity, patch).
+    The first two quantities are x and y of the blocks; ``side`` is the side of a patch in the same unit.
+    Patches with less than half as many blocks as the fullest patch are left out."""
     if not values.size:
         return values
     column, row = np.floor((values[:2] - values[:2].min(axis=1)[:, None]) / side).astype(np.intp)
@@ -159,8 +159,8 @@ def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
 
 
 def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[float, list[Array]]:
-    """Fit the delay by least squares; ``weights`` has an array (m,) of patch weights for each sample.
-    Returns the delay, in frame intervals, and an array (m,) of residuals of eps_y per sample, px."""
+    """Fit the delay between two cameras by least squares; ``weights`` has an array (m,) for each sample.
+    Returns the delay, in frame intervals, and for each sample the residuals of eps_y (m,), px."""
     residuals = [_residuals(s, w) for s, w in zip(samples, weights)]
     power = sum(float((w * v * v).sum()) for (_, v), w in zip(residuals, weights))
     delay = sum(float((w * v * y).sum()) for (y, v), w in zip(residuals, weights)) / max(power, 1e-12)
@@ -168,8 +168,8 @@ def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[flo
 
 
 def _residuals(one: Sample, weight: Array) -> tuple[Array, Array]:
-    """Return eps_y and velocity of a sample, each (m,), after removal of a constant and linear terms.
-    These terms are fitted by least squares with the weights (m,) of the patches."""
+    """Return eps_y (px) and velocity (px per frame) of the m patches without their linear trends in x and y.
+    A trend is a constant and two slopes, fitted by least squares with the patch weights ``weight`` (m,)."""
     root = np.sqrt(weight)[:, None]
     both = np.stack([one.eps_y, one.velocity], axis=-1)
     fit = np.linalg.lstsq(root * one.design, root * both, rcond=None)[0]
@@ -186,9 +186,9 @@ def delays(
     rate: float,
     threads: int = 1,
 ) -> Synchrony:
-    """Measure the delays of cameras and of image rows; the result is empty if the fit of a pair fails.
-    ``read(camera, frame)`` returns an image or None. ``displacement(frame)`` returns the displacement of the
-    water at the grid nodes, (3, ny, nx), metres per frame, NaN where unknown. ``rate`` is in Hz."""
+    """Measure the delays of cameras and of image rows at ``frames``; empty if the fit of any pair fails.
+    ``read(camera, frame)`` returns an image or None, ``record`` has the bead widths, ``displacement(frame)``
+    is that of the water at the nodes, (3, ny, nx), metres per frame, NaN where unknown. ``rate`` is in Hz."""
     from wavefield.measurement.images import prepare, ready, usable
 
     widths = dict(record.beads)
@@ -277,8 +277,8 @@ def remarks_on_clocks(found: Synchrony) -> Iterator[Remark]:
 
 
 def spell_delays(found: Mapping[str, Delay]) -> str:
-    """Return a text on the delays of the cameras relative to the camera whose delay is zero by definition.
-    The argument is `Synchrony.delays`."""
+    """Return a text on the delay of each camera, such as "cam2 is 3.100 +- 0.200 ms later than cam1".
+    ``found`` is `Synchrony.delays`; the delays are relative to the camera whose uncertainty is zero."""
     first = next((name for name, one in found.items() if one.std == 0), "")
     words = []
     for name, one in found.items():
@@ -293,7 +293,7 @@ def spell_delays(found: Mapping[str, Delay]) -> str:
 
 @dataclass(frozen=True)
 class CameraMotion:
-    """Linear fits over the field to the epipolar error of each step. They change when a camera turns."""
+    """Linear fits in x and y to the epipolar error of each step. A camera that turns changes the fits."""
 
     steps: NDArray[np.intp]  # (n,): Steps with enough measured nodes
     coefficients: Array  # (n, 3), px: eps_y at mid-field; its change from there to the right and upper edge
@@ -319,7 +319,7 @@ def camera_motion(cube: xr.Dataset) -> CameraMotion:
 
 
 def _fit_linear(design: Array, values: Array) -> tuple[Array, Array] | None:
-    """Fit the columns of ``design`` (n, 3) to ``values`` (n,), without outliers and NaN.
+    """Fit ``values`` (n,), without outliers and NaN, by a linear combination of columns of ``design`` (n, 3).
     Returns the coefficients (3,) and their standard uncertainties (3,); None if too few values are left."""
     near = np.isfinite(values)
     if near.sum() >= MIN_NODES:
@@ -335,8 +335,8 @@ def _fit_linear(design: Array, values: Array) -> tuple[Array, Array] | None:
 
 def find_jump(series: Array) -> int | None:
     """Return the index of the first row after the largest jump in ``series`` (n, 3), or None without one.
-    The rows are linear fits of eps_y, px. The jump, rms over the field, must reach `MAX_EPS_Y` and twice the
-    scatter of the rows about the means before and after it."""
+    A row holds the three coefficients, px, of the linear fit of eps_y at a step. A jump counts if its rms
+    over the field reaches `MAX_EPS_Y` and twice the scatter of the rows about the means before and after."""
     n = len(series)
     if n < 2 * MIN_STEPS_PER_SIDE:
         return None
@@ -352,8 +352,8 @@ def find_jump(series: Array) -> int | None:
 
 
 def find_knock(found: CameraMotion) -> tuple[int, float] | None:
-    """Find the largest jump of eps_y between steps, which shows that a camera was knocked; None without one.
-    Returns the index in the record of the first frame after the jump, and its rms over the field, px."""
+    """Find the largest jump of eps_y between steps, which shows that a camera was knocked; None if none.
+    Returns the index of the first frame after the jump, and the rms of the jump over the field, px."""
     at = find_jump(found.coefficients)
     if at is None:
         return None
@@ -366,8 +366,9 @@ def find_knock(found: CameraMotion) -> tuple[int, float] | None:
 
 
 def vibration_rms(found: CameraMotion, knocked: int | None = None) -> tuple[float, float]:
-    """Return the rms of the fits of eps_y about their mean over the steps, and its standard uncertainty, px.
-    The steps before and after the frame ``knocked`` each have a mean. The noise of the fits is removed."""
+    """Return the rms variation of eps_y from step to step, px, and the standard uncertainty of this rms.
+    It is computed from linear fits, without the noise of the fits. If a camera was knocked, at the frame
+    ``knocked``, variations before and after are about separate means."""
     cut = 0 if knocked is None else np.searchsorted(found.steps, knocked)
     halves = found.coefficients[:cut], found.coefficients[cut:]
     parts = [part - part.mean(axis=0) for part in halves if len(part)]

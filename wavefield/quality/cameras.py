@@ -54,8 +54,8 @@ MAX_BLUR_RATIO = 1.6  # width of beads over that in the other cameras, in px and
 
 @dataclass
 class PatchMatcher:
-    """Cuts square patches out of the cameras' images, resampled on the plane of the water at rest.
-    The n patches lie in the area that all cameras see; each has WHOLE x WHOLE pixels with search margins."""
+    """Resamples the images of the cameras at n square patches on the plane of the water at rest.
+    All cameras see the patches. With its search margins, a patch has `WHOLE` x `WHOLE` pixels."""
 
     read: Read  # Returns the image of a camera at a frame
     rig: Rig  # Calibrated cameras
@@ -78,7 +78,7 @@ class PatchMatcher:
         self.x, self.y = X[chosen], Y[chosen]  # (n,): centres of the patches, m
 
     def _pixels_of_patches(self, name: str) -> tuple[Image, Image]:
-        """Return columns and rows, in a camera's image, of all pixels of patches: (n WHOLE, WHOLE) each."""
+        """Return image columns and rows of all patch pixels in camera ``name``, each (n * WHOLE, WHOLE)."""
         offset = (np.arange(WHOLE) - (WHOLE - 1) / 2) * self.pixel
         places = self.x[:, None, None] + offset, self.y[:, None, None] + offset[:, None]
         parts = np.stack(self.rig[name].project(*places, 0.0))
@@ -86,9 +86,9 @@ class PatchMatcher:
         return column, row
 
     def sampled(self, name: str, frame: int, through: str, change: str = "") -> Image | None:
-        """Return the patches of an image of camera ``name``, grey levels (n, WHOLE, WHOLE), or None.
-        The calibration is that of camera ``through``. ``change``, a key of `FLIPS`, flips the image first.
-        The method `patches` is the same with a cache."""
+        """Return grey levels (n, WHOLE, WHOLE) of patches in an image of camera ``name``, None if missing.
+        They are located by the calibration of camera ``through``. ``change``, a key of `FLIPS`, flips the
+        image first. The method `patches` does the same and keeps its results."""
         image = self.read(name, frame)
         if image is None:
             return None
@@ -102,8 +102,8 @@ class PatchMatcher:
         return np.asarray(sampled, np.float32).reshape(-1, WHOLE, WHOLE)
 
     def textured(self, name: str, frame: int) -> NDArray[np.bool_]:
-        """Return a mask (n,), True for patches with more than a fifth of the median contrast of patches.
-        The contrast is the standard deviation of grey levels in a patch without its margins."""
+        """Return a mask (n,), True for patches whose contrast is over a fifth of the median contrast.
+        Contrast is the standard deviation of the grey levels of a patch without its search margins."""
         patches = self.patches(name, frame, name)
         assert patches is not None  # only frames that all cameras have are compared
         contrast = np.nan_to_num(middle(patches).std(axis=(1, 2)).astype(float))
@@ -124,8 +124,8 @@ def middle(patches: Image) -> Image:
 
 
 def compare(first: Image | None, second: Image | None) -> Array | None:
-    """Return how far each patch of the image ``first`` is displaced in ``second``, (n, 2), px along x and y.
-    The arguments are (n, WHOLE, WHOLE). The result is NaN without a match, and None if an image is None."""
+    """Return the displacements of patches from image ``first`` to ``second``, (n, 2), px along x and y.
+    Both images are given as patches (n, WHOLE, WHOLE). NaN without a match; None without an image."""
     if first is None or second is None:
         return None
     moved = np.full((len(first), 2), np.nan)
@@ -142,7 +142,7 @@ def compare(first: Image | None, second: Image | None) -> Array | None:
 
 @dataclass(frozen=True)
 class PairConsistency:
-    """How well the images of two cameras agree at one frame."""
+    """Agreement of two cameras at one frame: fraction of patches that match, and their epipolar errors."""
 
     fraction: float  # Fraction of the patches that match with an eps_y near its linear fit over the field
     eps_y: Array  # (m,): Epipolar error of these patches, px on the water
@@ -154,8 +154,8 @@ class PairConsistency:
 def agreement(
     patch_matcher: PatchMatcher, pair: Pair, moved: Array | None, ground: NDArray[np.bool_]
 ) -> PairConsistency:
-    """Return how well two cameras agree, from the displacements ``moved`` (n, 2) that `compare` returned.
-    ``ground`` (n,) is True for the patches that count."""
+    """Return the agreement of two cameras, from the patch displacements ``moved`` (n, 2), px, of `compare`.
+    ``ground`` (n,) is True for the patches to use."""
     n = len(patch_matcher.x)
     if moved is None or not ground.any():
         return PairConsistency(0.0, np.zeros(0), np.zeros(3), np.zeros(0, np.intp), np.zeros(0))
@@ -207,9 +207,9 @@ class ConsistencyTable:
     def compare(
         self, pair: Pair, frame: int, images: Pair | None = None, *, change: str = "", later: int = 0
     ) -> PairConsistency:
-        """Compare the cameras of ``pair`` at a frame, or test what would happen if their images were changed.
-        ``images`` are two cameras whose images are used with the calibrations of ``pair``. ``change``, a key
-        of `FLIPS`, flips the second image, which comes ``later`` frames after the first."""
+        """Compare the images of the two cameras of ``pair`` at a frame, or other images in their place.
+        ``images`` names two cameras whose images are used with the calibrations of ``pair``. ``change``, a
+        key of `FLIPS`, flips the second image, which is taken ``later`` frames after the first."""
         (a, b), (first, second) = pair, images or pair
         one = self.patch_matcher.patches(first, frame, a)
         found = compare(one, self.patch_matcher.patches(second, frame + later, b, change))
@@ -246,9 +246,9 @@ def blur(image: NDArray[np.generic] | None) -> float:
 def find_camera_faults(
     patch_matcher: PatchMatcher, count: int, frames: Sequence[int], threads: int = 1
 ) -> Verdict:
-    """Compare the cameras with each other at ``frames`` of a record of ``count`` frames, and judge them.
-    Frames that a camera lacks are skipped. There are no remarks for one camera, or if the area that all
-    cameras see is too small."""
+    """Compare all cameras at ``frames`` of a record of ``count`` frames, and return remarks on their faults.
+    Frames that are missing in a camera are skipped. There are no remarks if there is only one camera, or if
+    the area that all cameras see is too small."""
     names = list(patch_matcher.rig)
     complete = tuple(k for k in frames if all(patch_matcher.read(name, k) is not None for name in names))
     if len(patch_matcher.x) < MIN_PATCHES or not complete or len(names) < 2:
@@ -331,7 +331,7 @@ def _inconsistent(table: ConsistencyTable, count: int) -> tuple[set[str], list[R
 
 
 def _disagree(table: ConsistencyTable, name: str = "") -> Remark:
-    """Return the remark that the camera ``name`` matches no other; by default, that no two match."""
+    """Return the remark that the camera ``name`` matches no other; without a name, that no cameras match."""
     best = max(score(found) for pair, found in table.found.items() if not name or name in pair)
     sentence = (
         f"at best {100 * best:.0f} % of the patches of two cameras match with a smooth epipolar error (sound "
@@ -364,9 +364,9 @@ _CAMERA_FAULTS = {
 
 def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level: float, count: int) -> Remark:
     """Find by trial why the camera ``name`` agrees with none of ``partners``, and return a remark on it.
-    At two frames its images are flipped, used as those of another camera, or taken up to two frames earlier
-    or later; the record has ``count`` frames. The best trial shows the cause if at least a fraction ``level``
-    of the patches match in it."""
+    At two frames its images are flipped, used as images of another camera, or taken up to two frames earlier
+    or later. The trial with most matching patches shows the cause; the matching fraction must reach
+    ``level``. The record has ``count`` frames."""
     frames = table.frames[:2]
     tried: dict[tuple[str, str, str], list[PairConsistency]] = {}  # by kind, detail and partner
     for partner in partners:
@@ -389,9 +389,9 @@ def _explain(table: ConsistencyTable, name: str, partners: Sequence[str], level:
 
 
 def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
-    """Return at most one remark on pairs of cameras whose linear fit of eps_y is large and significant.
-    It is on one camera if only that camera can have moved, or else on the rig. Skips cameras in
-    ``inconsistent``."""
+    """Return a list with one remark if the linear fit of eps_y of any pair is large and significant, else [].
+    The remark names the camera that moved, or the rig if this camera is unknown. Cameras in
+    ``inconsistent`` are skipped."""
     smooth = {
         pair: np.median([one.smooth for one in found if one.fraction > 0], axis=0)
         for pair, found in table.found.items()
@@ -419,8 +419,8 @@ def _knocked(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
 
 
 def _moved(subject: str, error: float, sentence: str, values: Mapping[str, float]) -> Remark:
-    """Return the remark that a camera has moved: ``subject`` or, if that is "rig", it is unknown which.
-    ``error`` is the resulting error, px on the water; ``sentence`` and ``values`` are parts of the remark."""
+    """Return the remark that camera ``subject`` has moved; the subject "rig" stands for an unknown camera.
+    ``error`` is the resulting error, px on the water. ``sentence`` is the finding, with its ``values``."""
     return Remark(
         subject,
         "moved",
@@ -434,8 +434,8 @@ def _moved(subject: str, error: float, sentence: str, values: Mapping[str, float
 
 
 def _uneven(table: ConsistencyTable, inconsistent: set[str]) -> list[Remark]:
-    """Return at most one remark on two pairs of cameras that see the same water at different heights.
-    A camera has then moved along the parallax, but it is unknown which. Skips cameras in ``inconsistent``."""
+    """Return a list with one remark if two pairs of cameras see the water at different heights, else [].
+    An unknown camera has then moved along the parallax. Cameras in ``inconsistent`` are skipped."""
     matcher, worst, sure = table.patch_matcher, 0.0, 0.0
     which: tuple[Pair, ...] = ()
     for first, second in combinations(table.pairs, 2):

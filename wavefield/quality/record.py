@@ -65,8 +65,8 @@ class FrameInspection:
 
 
 def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
-    """Return the indices of the frames to inspect; ``series`` holds the frames of each camera.
-    These are all frames of a short record, or else the first, the last and those of some random steps."""
+    """Return the indices of the frames to inspect: all frames of a short record; of a long record the first,
+    the last and those of 12 random steps. ``series`` holds the frames of each camera."""
     complete = complete_steps(series)
     if len(complete) < 2 * SAMPLED_STEPS:
         return tuple(range(len(complete) + 1))
@@ -77,7 +77,7 @@ def sample_frames(series: Mapping[str, FrameSeries]) -> tuple[int, ...]:
 
 def inspect_frames(series: FrameSeries, indices: Iterable[int]) -> FrameInspection:
     """Read the frames ``indices`` of a camera, and find those that are bad or equal the frame before them.
-    Missing frames are skipped. Equality is tested if the frame before was read, too."""
+    Missing frames are skipped. Two frames are compared only if both indices are in ``indices``."""
     faults: dict[int, tuple[FrameFault, str]] = {}
     read: list[int] = []
     last: Any = None
@@ -104,8 +104,8 @@ def complete_steps(series: Mapping[str, FrameSeries]) -> Mask:
 def remark_on_frames(
     series: Mapping[str, FrameSeries], inspections: Mapping[str, FrameInspection]
 ) -> Iterator[Remark]:
-    """Yield remarks on cameras with many bad or repeated frames, or with at least one of another size.
-    Both arguments are by camera."""
+    """Yield remarks on cameras with many bad or repeated frames, or with any frame of another size.
+    The arguments hold, by camera, its frames and the result of `inspect_frames`."""
     for name, found in inspections.items():
         for fault, (words, remedy) in FAULTS.items():
             bad = [index for index, (other, _) in found.faults.items() if other == fault]
@@ -168,7 +168,8 @@ def _missing(series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
 
 def _rates(experiment: Experiment, series: Mapping[str, FrameSeries]) -> Iterator[Remark]:
     """Yield remarks on rotated videos, and on recordings whose frame rate differs from the experiment's.
-    If the experiment's rate is the playback rate of a video, the camera's rate is unknown: this is a note."""
+    Also yields a note if the experiment's rate is the playback rate of a video, which may differ from the
+    rate of the camera."""
     file, rate = experiment.path.name, experiment.frame_rate
     named = {name: one.images for name, one in experiment.cameras.items() if one.times is None}
     stated = stated_by_recordings(named, experiment.image_folder)
@@ -220,8 +221,8 @@ def _uneven(series: FrameSeries) -> Iterator[Remark]:
 
 def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, rate: float) -> Array:
     """Return the robust rms over the nodes of z_t - w + u z_x + v z_y at each step, (n,), NaN with few nodes.
-    It is in units of the standard uncertainty of this sum. ``fields`` holds the variables `COMPARED`. They
-    and the mask ``measured`` are (n, ny, nx). ``step`` is the node spacing, m, and ``rate`` is in Hz."""
+    It is divided by the standard uncertainty of this sum. ``fields`` holds the variables `COMPARED`, each
+    (n, ny, nx) like the mask ``measured``. ``step`` is the node spacing, m; ``rate`` the frame rate, Hz."""
     z = np.asarray(fields["z"], np.float64)
     z_y, z_x = (np.gradient(z, step, axis=axis) for axis in (1, 2))
     residual = fields["z_t"] - fields["w"] + fields["u"] * z_x + fields["v"] * z_y
@@ -240,9 +241,9 @@ def kinematic_misfit(fields: Mapping[str, Array], measured: Mask, step: float, r
 
 
 def rise_ratios(cube: xr.Dataset) -> tuple[Array, Array]:
-    """Return at every step k the ratio of w to (z(k+1) - z(k-1)) / (2 dt) + u . grad z, and its variance.
-    dt is the frame interval. A ratio is the slope of a regression over the field. If the median of all ratios
-    is not between 0 and `MAX_RATIO`, the waves are too fast for this test, and all ratios are NaN."""
+    """Return, by step k, the ratio of w to (z(k+1) - z(k-1)) / (2 dt) + u . grad z, and the ratio's variance.
+    dt is the frame interval. A ratio is the slope of a regression over the field. All ratios are NaN if their
+    median is not between 0 and `MAX_RATIO`, because the waves are then too fast for this test."""
     steps, rate = cube.sizes["time"], float(cube.attrs["frame_rate"])
     spacing = float(cube.x[1] - cube.x[0])
     ratio, variance = np.full((2, steps), np.nan)
@@ -308,8 +309,8 @@ def _patches(values: Array) -> Array:
 
 def steps_to_leave_out(discontinuous: NDArray[np.intp], steps: int) -> NDArray[np.intp]:
     """Return the steps whose values use frames from both sides of a jump in time.
-    ``discontinuous`` are the steps with such jumps, and ``steps`` is the number of steps of the record. The
-    result is empty if there are several jumps and more than half of the record would be left out."""
+    A jump is a lost, doubled or late frame: ``discontinuous`` holds the steps with jumps, of ``steps`` steps.
+    The result is empty if several jumps would leave out more than half of the record."""
     apart = np.abs(np.subtract.outer(np.arange(steps), discontinuous))
     out = np.flatnonzero(apart.min(axis=1, initial=steps) <= AROUND)
     return out if discontinuous.size == 1 or out.size <= 0.5 * steps else out[:0]

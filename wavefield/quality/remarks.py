@@ -58,7 +58,7 @@ def remark_on_holes(measured: float) -> Iterator[Remark]:
 
 def remark_on_eps_piv(z: NDArray[np.floating], eps_piv: NDArray[np.floating]) -> Iterator[Remark]:
     """Yield a remark if displacements in the images of different cameras do not fit one velocity u, v, w.
-    ``eps_piv`` is the residual of this fit, px; it and the elevation ``z`` are (n, ny, nx)."""
+    ``eps_piv`` is the residual of this fit, px, and ``z`` the elevation, each (n, ny, nx)."""
     valid = np.isfinite(z) & np.isfinite(eps_piv)
     misfit = float(np.median(np.abs(eps_piv[valid]))) if valid.any() else 0.0
     if misfit > MAX_EPS_PIV:
@@ -76,8 +76,8 @@ def remark_on_unresolved_waves(
     fraction: float, wavelength: float, means: str, remedy: str
 ) -> Iterator[Remark]:
     """Yield a remark if waves that are not resolved cause over a tenth of the variance of w.
-    `fraction` is this part of the variance, and `wavelength` the longest of these waves, m. `means` and
-    `remedy` are sentences of the remark."""
+    `fraction` is this part of the variance; `wavelength` is that of the longest such waves, m. The sentences
+    `means` (effect on the results) and `remedy` (action to take) become parts of the remark."""
     if fraction > MAX_LOST:
         sentence = (
             f"waves of {100 * wavelength:.3g} cm and less have {100 * fraction:.3g} % of the variance of w"
@@ -110,8 +110,8 @@ def remark_on_steps(status: Status) -> Iterator[Remark]:
 
 
 def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[str]) -> Iterator[Remark]:
-    """Yield a remark on each camera without which more than a tenth of the nodes were measured.
-    ``quality`` (n, ny, nx) is the variable of the cube; ``cameras`` are names in the order of its bits."""
+    """Yield a remark on each camera that was left out at more than a tenth of the measured nodes.
+    ``quality`` (n, ny, nx) holds the bit flags of the cube; ``cameras`` are names in the order of bits."""
     has_value = (quality & np.uint16(Quality.MEASURED | Quality.FILLED)) != 0
     for number, camera in enumerate(cameras):
         bit = np.uint16(Quality.without(number) & ~Quality.FEWER_CAMERAS)
