@@ -8,7 +8,7 @@ from measurement_cases import RATE, around
 from wavefield.measurement import GridGeometry, Model, learn, measure
 from wavefield.measurement.diagnostics import diagnose
 from wavefield.measurement.model import LearnedRecord
-from wavefield.series.frames import CameraMask
+from wavefield.series.frames import CameraMask, covered_pixels
 from wavefield.series.masks import MaskSection, footprints, outline_in_image
 from wavefield.variables import Quality
 
@@ -20,7 +20,7 @@ MASKED = int(Quality.MASKED)
 
 def masks_of(rig):
     return {
-        name: CameraMask(camera.size[::-1], (outline_in_image(DISC, camera),)).covered()
+        name: covered_pixels(CameraMask(camera.size[::-1], (outline_in_image(DISC, camera),)))
         for name, camera in rig.cameras.items()
     }
 
