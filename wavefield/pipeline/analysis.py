@@ -146,7 +146,7 @@ def analyze(
 
 def _analyze(cube: "str | Path | xr.Dataset", out: str | Path | None, **options: Any) -> "xr.DataTree":
     """Compute the waves of a cube, and write them to the store ``out`` unless that is None.
-    An option ``each`` replaces ``map``: ``each(work, items)`` yields results in the order of the items."""
+    Options are those of `analyze`, and ``each(work, items)``, which yields results in the order of items."""
     from wavefield.store.recipe import source_of, state_of
     from wavefield.store.results import WAVES, write_waves
     from wavefield.waves.analysis import analyze as waves_of
@@ -163,8 +163,8 @@ def _analyze(cube: "str | Path | xr.Dataset", out: str | Path | None, **options:
 
 
 def _through_disk(work: Callable[[Any], Any], folder: Path, numbered: tuple[int, Path]) -> Path:
-    """Apply `work` to a pickled item, and return the path of the pickled result; both are too large for
-    messages between processes. `numbered` is the number of the item and its file."""
+    """Apply `work` to an item that is pickled in a file, and pickle the result in `folder`; return its path.
+    `numbered` is (number of the item, its file). Items are too large for messages between processes."""
     try:
         item = pickle.loads(numbered[1].read_bytes())
     except FileNotFoundError:
@@ -210,7 +210,7 @@ def write_smoothed(
     store: Path, output: Path | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Path:
     """Write the smoothed fields of a cube (`wavefield.smooth`) to a Zarr store, and return its path.
-    By default `output` is next to the cube, `store`. `progress` gets numbers of steps: written, all."""
+    By default `output` is next to the cube `store`. `progress` is called with steps done and all steps."""
     import zarr
 
     from wavefield.store import beside

@@ -39,9 +39,9 @@ MAX_SAMPLED = 12  # steps of a cube that are assessed after its run
 
 
 def compare_cameras(prepared: PreparedRun, quality: NDArray[np.uint16]) -> Verdict:
-    """Compare the images of the cameras at a few frames of the record, and return the verdict on the cameras.
-    ``quality`` (n, ny, nx) is the variable of the cube at some steps. If all cameras together measured most
-    nodes there, no remark says that a camera matches no other."""
+    """Compare the images of the cameras at a few frames of the record, and return remarks on their faults.
+    ``quality`` (n, ny, nx) holds bit flags of the cube at some steps. If most nodes were measured with all
+    cameras, remarks that a camera matches no other are left out."""
     count = prepared.steps + 1
     matcher = cameras.PatchMatcher(prepared.read_uncovered, prepared.rig, prepared.grid)
     frames = evenly_spaced(count, SAMPLE_STEPS)
@@ -78,8 +78,8 @@ def measure_synchrony(
 
 
 def clear_discontinuous_steps(prepared: PreparedRun, status: Status) -> None:
-    """Set to NaN the steps of a stored cube whose frames are on both sides of a lost, doubled or late frame.
-    An incomplete cube, and one measured in a light sheet, is left as it is. A second call changes nothing."""
+    """Set to NaN the steps of a stored cube that use frames from both sides of a lost, doubled or late frame.
+    A cube that is incomplete or measured in a light sheet is not changed. A second call changes nothing."""
     if not status.complete or prepared.in_light_sheet:
         return
     cube = open_cube(status.store)
@@ -158,15 +158,15 @@ def remarks_on_fields(fields: Mapping[str, NDArray[Any]]) -> Iterator[Remark]:
 
 def fraction_measured(quality: np.ndarray, by_all: bool = False) -> float:
     """Return the fraction of the nodes in view that were measured; 0 if no node is in view.
-    With ``by_all``, only nodes that all cameras measured count. ``quality`` may have any shape."""
+    With ``by_all``, nodes measured without some camera do not count. ``quality`` holds bit flags."""
     visible = (quality & (Quality.OUTSIDE | Quality.MASKED)) == 0
     marks = np.uint16(Quality.MEASURED | (Quality.FEWER_CAMERAS if by_all else 0))
     return float(((quality[visible] & marks) == Quality.MEASURED).mean()) if visible.any() else 0.0
 
 
 def _sampled(steps: int) -> list[int]:
-    """Return the indices of the evenly spaced steps that are measured again after a run of ``steps`` steps.
-    Their number is a tenth of all, but at least 4 and at most 12."""
+    """Return the indices of evenly spaced steps of a record of ``steps`` steps, to assess its cameras.
+    The number of indices is a tenth of all steps, but at least 4 and at most 12."""
     return evenly_spaced(steps, min(MAX_SAMPLED, max(SAMPLE_STEPS, steps // 10)))
 
 
@@ -175,8 +175,8 @@ _BIN_EDGES = np.linspace(-5, 5, 101)  # errors in units of their rms
 
 def pair_statistics(prepared: PreparedRun) -> xr.Dataset | None:
     """Measure some steps with each pair of cameras alone, and return statistics of errors between cameras.
-    Returns ``rms`` and ``beyond`` (fraction of outliers), both (error,), and ``density`` (error, bin), the
-    probability density of each error in units of its rms. Coordinates tell the quantity, cameras and units of
+    Returns ``rms`` and ``beyond`` (fraction of outliers), each (error,), and ``density`` (error, bin), the
+    probability density of each error divided by its rms. Coordinates give the quantity, cameras and units of
     an error. None if no step can be measured, if nothing was learned from the record, or in a light sheet."""
     geometry, model = prepared.geometry, prepared.model
     if prepared.in_light_sheet or model is None:  # cameras are not matched with each other

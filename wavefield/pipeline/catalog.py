@@ -69,9 +69,9 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
 
 def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> None:
-    """In the folder ``place`` of a run, make a link to the folder that holds ``cube``, if that cube exists.
-    The link is named after the hash of the cube's recipe. The hash also becomes an option in ``data``, the
-    content of the catalog, which is modified."""
+    """Make a link to the folder that holds ``cube`` in ``place``, the folder of a run, if the cube exists.
+    The name of the link is the hash of the cube's recipe. The hash is also added, in place, to the values of
+    the parameter ``recipe`` in ``data``, the content of the catalog."""
     from wavefield.store.read import is_cube, open_group
 
     if not is_cube(cube):
@@ -85,8 +85,8 @@ def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> N
 
 
 def _allow(catalog: Path, data: Mapping[str, Any], parameter: str, value: str) -> None:
-    """Add a value to the options of a catalog's parameter, in place in ``data``, the content of the catalog.
-    ExperimentError if the catalog has no such parameter."""
+    """Add ``value`` to the allowed values of a parameter of a catalog, in place in the content ``data``.
+    ExperimentError, with the file name ``catalog``, if the catalog has no such parameter."""
     try:
         options: list[str] = data["user_parameters"][parameter]["options"]
     except (KeyError, TypeError):
@@ -187,7 +187,7 @@ def runs_of(catalog: str | Path, entries: Sequence[str] = ()) -> list[str]:
 
 def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experiment":
     """Read the experiment of the run ``chosen["run"]`` of a catalog.
-    ``chosen["location"]`` is the folder of the images; by default that of the experiment file."""
+    ``chosen["location"]`` is the folder of the images; by default it follows from the experiment file."""
     from wavefield.series import Experiment
 
     place = _folder(catalog, chosen)
@@ -213,7 +213,7 @@ def _folder(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
 
 
 def _named(progress: "ProgressFunction | None", run: str) -> "ProgressFunction | None":
-    """Return a function that calls ``progress`` with the name of the run before each sentence.
+    """Return a function that calls ``progress`` and puts the name of the run in front of each sentence.
     None if ``progress`` is None."""
     if progress is None:
         return None

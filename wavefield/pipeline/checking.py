@@ -172,7 +172,7 @@ class Check:
 
     @property
     def line(self) -> str:
-        """One line such as "not ready", "sound" or "sound with remarks: cam1 focus"; may be empty."""
+        """Verdict, such as "not ready", "sound" or "sound with remarks: cam1 focus"; empty if unknown."""
         return "not ready" if self.problems else self.verdict.line if self.verdict else ""
 
     def __str__(self) -> str:
@@ -319,7 +319,7 @@ def check(
 
 
 def _summary(series: FrameSeries, found: record.FrameInspection) -> CameraCheck:
-    """Return the number, size, type and faults of one camera's frames, of which ``found`` were inspected."""
+    """Return the number, size, type and faults of a camera's frames; ``found`` has the faults in a sample."""
     rows, columns = series.shape
     faults = {FrameFault.MISSING: tuple(int(n) for n in series.missing)}
     for fault in record.FAULTS:

@@ -69,8 +69,8 @@ class Measured:
 def make_chunk(
     sources: Mapping[str, Source], start: int, stop: int, departures: np.ndarray | None = None
 ) -> Chunk:
-    """Return the chunk of the steps start to stop - 1 of a record, whose frames ``sources`` holds by camera.
-    ``departures`` (n,) are delays of all frames of the record relative to even times, in frame intervals."""
+    """Return the chunk of the steps start to stop - 1; ``sources`` holds all frames of the record by camera.
+    ``departures`` (frame,) are delays of these frames relative to even times, in frame intervals."""
     first = max(start - AROUND - 1, 0)
     windows = {name: s.window(first, stop + 1 + AROUND) for name, s in sources.items()}
     if departures is not None:
@@ -79,8 +79,8 @@ def make_chunk(
 
 
 def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> Frame:
-    """Read a frame, and give it a fault if its image is identical to that of the frame before it.
-    The latter is ``before``; if that is None, it is read, too."""
+    """Read a frame, and give it a fault if its image is identical to the image of the frame before it.
+    ``before`` is that earlier image; if it is None, the earlier frame is read, too."""
     frame = source.read(index)
     if frame.image is not None and index:
         before = source.read(index - 1).image if before is None else before
@@ -152,9 +152,9 @@ def measure_chunk(
     model: "Model | None" = None,
     terms: bool = False,
 ) -> Measured:
-    """Measure all steps of a chunk; ``frame_rate`` is in Hz.
-    ``model`` is the estimator with what was learned from sample frames. With ``terms``, the fields of the
-    result include ``uncertainty_terms``, the terms of the standard uncertainties."""
+    """Measure elevation and velocity at all steps of a chunk; ``frame_rate`` is in Hz.
+    ``model`` is the estimator, trained on sample frames; None if that failed. With ``terms``, the
+    fields of the result include ``uncertainty_terms``, the terms of the standard uncertainties."""
     from wavefield.measurement.step import measure
 
     sizes = {name: geometry.rig[name].size for name in chunk.sources}
@@ -175,9 +175,9 @@ def _find_high_water(
     chunk: Chunk,
     geometry: "GridGeometry",
 ) -> None:
-    """Set the status of steps whose elevation z (n, ny, nx) reaches a limit of the searched range.
-    It becomes "done with faults" in ``status`` (n,), in place. In ``frames``, also in place, the first frame
-    of such a step becomes a bad frame of the reference camera."""
+    """Mark the steps whose elevation z (n, ny, nx), m, reaches a limit of the searched range.
+    Changes two arguments: ``status`` (n,) of such a step becomes "done with faults", and in ``frames`` the
+    first frame of the step becomes a bad frame of the reference camera."""
     from wavefield.measurement.search_range import at_border
 
     for step in np.flatnonzero(status != FrameStatus.FAILED).tolist():
@@ -193,7 +193,7 @@ def measure_and_write(
     store: Path, geometry: "GridGeometry", model: "Model | None", frame_rate: float, chunk: Chunk
 ) -> list[str]:
     """Measure a chunk, write it to the store, and return a sentence about each bad frame.
-    ``frame_rate`` is in Hz; ``model`` is the estimator with what was learned from sample frames."""
+    ``frame_rate`` is in Hz; ``model`` is the estimator, trained on sample frames (None if this failed)."""
     measured = measure_chunk(chunk, geometry, frame_rate, model)
     write_chunk(store, chunk.start, measured.fields, measured.frame_status, measured.faults)
     return measured.messages

@@ -44,7 +44,7 @@ class ArraySource:
         return int(self.variable.shape[0])
 
     def read(self, index: int) -> Frame:
-        """Return the frame at an index; it has a fault instead of an image that is blank or has NaN."""
+        """Return the frame at an index; if its image is blank or has NaN, it has a fault and no image."""
         return check_content(np.asarray(self.variable[index].values), self.place(index))
 
     def place(self, index: int) -> str:
@@ -99,8 +99,8 @@ def reconstruct(
     steps_per_block : int
         Number of steps per chunk. The values do not depend on it.
     record : mapping, optional
-        What was learned for an earlier cube, ``cube.wavefield.recipe["record"]``, to use it again. Some
-        frames of that cube then give the same values as there. By default it is learned from ``frames``.
+        What was learned for an earlier cube, ``cube.wavefield.recipe["record"]``. With it, a part of the
+        frames of that cube gives the same values as all frames. By default it is learned from ``frames``.
 
     Returns
     -------
@@ -210,8 +210,8 @@ def _grid_of(given: Grid | Mapping[str, Any] | None, rig: Rig, settings: "Settin
 
 
 def _measure(chunk: Chunk, known: "Known", frame_rate: float) -> np.ndarray:
-    """Measure a chunk of n steps, and return an object array (n,) whose first element is the results.
-    These are a dict of all variables, (n, ny, nx) or (n,); the other elements are None. ``known`` is the
+    """Measure a chunk of n steps, and return an object array (n,) whose first element is a dict of results.
+    The dict has all variables by name, (n, ny, nx) or (n,); the other elements are None. ``known`` holds the
     geometry and the estimator."""
     geometry, model = known
     measured = measure_chunk(chunk, geometry, frame_rate, model)
@@ -274,8 +274,8 @@ class _Learner:
 
 
 def _from_record(known: "Known") -> dict[str, np.ndarray]:
-    """Return the variables of the cube that do not depend on time (gains for waves, ...), by name.
-    ``known`` is the geometry and the estimator."""
+    """Return by name the variables of the cube without time, such as the response to waves.
+    ``known`` holds the geometry and the estimator."""
     geometry, model = known
     record = model.record if model else None
     frames = np.asarray(record.path_frames if record else 4, np.uint8)
@@ -285,7 +285,7 @@ def _from_record(known: "Known") -> dict[str, np.ndarray]:
 def _images(
     frames: xr.DataTree | Mapping[str, xr.DataArray],
 ) -> tuple[dict[str, xr.DataArray], dict[str, xr.Variable]]:
-    """Return the images by camera, and the masks by camera for cameras with a mask."""
+    """Return the images (time, row, column) by camera, and the masks by camera for cameras with a mask."""
     if isinstance(frames, xr.DataTree):
         nodes = {name: node.to_dataset() for name, node in frames.children.items()}
         images = {name: node["image"] for name, node in nodes.items() if "image" in node}

@@ -28,7 +28,7 @@ def learn_record(
 ) -> dict[str, Any]:
     """Choose sample steps, and learn bead widths, wave spectra and noise from them.
     ``sources`` holds the frames by camera, and ``steps`` is the number of steps of the record. Returns plain
-    data (`LearnedRecord.to_dict`, and ``steps``: the samples); empty if three sets of samples fail."""
+    data (`LearnedRecord.to_dict`, and sample ``steps``); empty if three sets of sample steps fail."""
     from wavefield.measurement import sample_steps
 
     for number in range(_TRIES):
@@ -40,8 +40,8 @@ def learn_record(
 
 
 def samples(sources: Mapping[str, Source], steps: Sequence[int]) -> list[Mapping[str, Source]]:
-    """Return, for each step, a mapping from cameras to three frames: the two of the step and the one before.
-    The frame before the step is left out at the first step."""
+    """Return, for each of ``steps``, three frames by camera: the frame before the step and its own two.
+    The first step of a record has only its own two frames."""
     return [{n: s.window(max(k - 1, 0), k + 2) for n, s in sources.items()} for k in steps]
 
 
@@ -57,8 +57,8 @@ def both_frames(sample: Mapping[str, Source]) -> tuple[dict[str, Any], dict[str,
 def steps_with_waves(
     sources: Mapping[str, Source], steps: int, geometry: "GridGeometry", threads: int = 1
 ) -> list[int]:
-    """Return the steps to learn from: evenly spaced or, if waves are much weaker then, those of strong waves.
-    The strength is the variance of the displacements in the images of one camera about the mean current."""
+    """Return steps to learn from: evenly spaced ones or, if waves are weak there, steps with strong waves.
+    Strength is the variance of the displacements in the images of one camera about the mean current."""
     from wavefield.measurement import sample_steps
 
     usual = sample_steps(steps)
@@ -107,8 +107,8 @@ def learn_from(
 
 
 def once_per_cube(geometry: "GridGeometry", record: "LearnedRecord | None") -> dict[str, np.ndarray]:
-    """Return the variables that a cube has once, not per step, by name: the gains of the measurement for
-    waves (`tabulated`), and ``z_level_std``, the standard uncertainty of the level z = 0, m."""
+    """Return the variables that a cube has once, not per step, by name: the response of the measurement
+    to waves (`tabulated`), and ``z_level_std``, the standard uncertainty of the level z = 0, m."""
     from wavefield.measurement.error_budget import level_std
     from wavefield.measurement.model import tabulated
 

@@ -48,8 +48,8 @@ def image_names(experiment: Experiment, camera: str) -> list[Any]:
 
 def labels(experiment: Experiment, store: Path) -> dict[str, Any]:
     """Return attributes of a cube that describe its experiment but do not change the measured values.
-    Paths (experiment file; folder of the images, if named) are relative to the folder of ``store``; that of
-    images outside of the experiment's folder is absolute."""
+    Paths (experiment file; folder of the images, if named) are relative to the folder of ``store``, but a
+    folder of images outside of the experiment's folder is absolute."""
     home, own = store.absolute().parent.resolve(), experiment.path.parent.resolve()
     out: dict[str, Any] = {"experiment_file": _relative(own / experiment.path.name, home)}
     if experiment.description:
@@ -97,8 +97,8 @@ def load_experiment(store: Path, attributes: Mapping[str, object], given: Path |
 
 
 def _check_first_images(experiment: Experiment, store: Path, attributes: Mapping[str, object]) -> None:
-    """Raise StoreError if the first image of a camera differs from that of a cube with these attributes.
-    Images that cannot be read are not compared."""
+    """Raise StoreError if the first image of a camera differs from its checksum in the cube's ``attributes``.
+    Images that cannot be read are not compared. ``store`` is the cube, for the message."""
     begun = json.loads(str(attributes.get("fingerprints", "{}")))
     first = {camera: {k: sums[k] for k in sorted(sums, key=int)[:1]} for camera, sums in begun.items()}
     try:
@@ -125,7 +125,7 @@ def _sum(image: np.ndarray) -> int:
 def check_images(
     store: str, begun: Mapping[str, Mapping[str, int]], series: Mapping[str, FrameSeries]
 ) -> None:
-    """Raise StoreError if images in `series` have other checksums than `begun`, a result of `fingerprints`.
+    """Raise StoreError if images in `series` differ from their checksums `begun`, a result of `fingerprints`.
     `store` is the name of the cube in the message. Missing cameras and unreadable images are skipped."""
     for name, sums in begun.items():
         for index, expected in sums.items() if name in series else ():
@@ -142,10 +142,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A cube with what it was made from (rig, images, ...) and computed from it (waves): see `open_run`.
+    """A cube with its inputs (experiment, rig, images) and its results (waves): see `open_run`.
 
-    Its attributes are read when first used. Those that are absent are None or empty, and `reason` explains
-    why.
+    Attributes are read when first used. An absent attribute is None or empty, and `reason` explains why.
 
     Parameters
     ----------
@@ -294,7 +293,7 @@ class Run:
 
 
 def open_run(store: str | Path, *, experiment: str | Path | None = None) -> Run:
-    """Open a cube together with what it was made from and what was computed from it.
+    """Open a cube together with its inputs (experiment, rig, images) and its results (waves).
 
     Parameters
     ----------

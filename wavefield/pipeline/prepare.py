@@ -46,7 +46,7 @@ _MAX_THICKNESS_FRACTION = 0.05  # beads and light sheets, as a fraction of that 
 
 def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> None:
     """Raise an error if the lengths in a rig are not in metres, or if `water.level` is above a camera.
-    They are not in metres if the median distance between camera and water is not 0.02 to 200. ``rig_file``
+    Lengths count as metres if the median distance between cameras and water is 0.02 to 200. ``rig_file``
     is the name of the rig in messages. Also raises the errors of `refuse_own_frame`."""
     refuse_own_frame(rig, rig_file)
     distance = float(np.median(_distances(rig)))
@@ -137,7 +137,7 @@ def refuse_small_fields(geometry: "GridGeometry", source: Path) -> None:
 
 def _distances(rig: Rig) -> list[float]:
     """Return the distance between each camera and the water, m, along the sight line of the image centre.
-    If this line does not meet the water, the camera's height is returned."""
+    For a line that does not meet the water, it is the height of the camera."""
     distances = []
     for camera in rig.cameras.values():
         x, y = (float(v) for v in camera.unproject(*(0.5 * (n - 1) for n in camera.size)))
@@ -171,8 +171,8 @@ class PreparedRun:
     departures: np.ndarray | None = None
 
     def with_prior(self, record: Mapping[str, object]) -> "PreparedRun":
-        """Return the same run with an estimator that uses ``record``, the result of `learn_record`.
-        An empty record leaves the estimator as it is."""
+        """Return the same run with an estimator (model) that uses ``record``, the result of `learn_record`.
+        If the record is empty, the estimator is not changed."""
         from wavefield.measurement import Model
         from wavefield.measurement.model import LearnedRecord
 
@@ -310,7 +310,7 @@ def level_at_rest(
     """Correct a rig with images of still, seeded water, and level it so that z = 0 is the water.
     ``rig`` replaces the rig of the experiment, and ``frames`` is the number of frames that are matched.
     ``progress`` is called with the numbers of frames done and of all frames. Returns the corrected rig, and
-    sentences on the errors of the given rig and on the plane of the water in its coordinates."""
+    a text on the errors of the given rig and on the plane of the water in that rig's coordinates."""
     from wavefield.calibration.still_water import refine_and_level
     from wavefield.measurement.elevation import matched_pixels
 
@@ -362,7 +362,8 @@ def make_recipe(
 
 def make_settings(experiment: Experiment, workflow: Workflow) -> "Settings":
     """Return the settings of the measurement: each from the workflow, else the experiment, else its default.
-    Pairs, velocity cameras and delays of image rows come from other keys of the experiment file."""
+    Camera pairs, cameras that measure velocity, and delays of image rows have their own keys in the file of
+    the experiment."""
     from wavefield.measurement.settings import Settings
 
     for source in (experiment, workflow):  # checked one by one, so that errors name the right file
