@@ -1,4 +1,4 @@
-"""From images to a cube and its waves: learn the noise, measure all steps, assess them, analyse waves."""
+"""Turn images into a cube and its waves: learn the noise, measure all steps, assess them, analyse waves."""
 
 from wavefield.lazy_names import lazy_names
 

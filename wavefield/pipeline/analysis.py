@@ -79,7 +79,7 @@ def analyze(
         ``depth`` : float
             Depth of the water, m; by default the attribute ``water_depth`` of the cube, or deep.
         ``gain`` : path, Dataset or False
-            Response of the measurement to waves. The spectra are corrected for it where it is half or more;
+            Measured over true amplitude of waves. The spectra are corrected for it where it is half or more;
             shorter waves are not valid. By default the response stored with the cube; False leaves the
             spectra as they were measured.
         ``current`` : tuple of float

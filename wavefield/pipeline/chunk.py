@@ -52,7 +52,7 @@ class Chunk:
 
     @property
     def steps(self) -> int:
-        """Number of steps."""
+        """Number of steps in the chunk."""
         return self.stop - self.start
 
 

@@ -200,7 +200,7 @@ class Run:
 
     @cached_property
     def frames(self) -> dict[str, FrameSeries]:
-        """Images of every camera, with masks for the measuring cameras; empty if they are missing."""
+        """Images of every camera, with masks for the measuring cameras; empty if images are missing."""
         experiment, rig = self.experiment, self.rig
         if experiment is None:
             self._reasons["frames"] = f"the experiment file cannot be read: {self._reasons['experiment']}"
@@ -230,7 +230,7 @@ class Run:
 
     @cached_property
     def waves(self) -> xr.DataTree | None:
-        """The waves that `wavefield.analyze` has stored, lazy; None without them or if the cube has changed.
+        """The waves that `wavefield.analyze` stored, lazy; None if absent or the cube has changed since.
         StoreError if the store has the waves of another cube."""
         if not self.waves_path.is_dir():
             self._reasons["waves"] = f"no waves yet: run `wavefield analyze {self.store}`"
@@ -251,14 +251,14 @@ class Run:
         return None
 
     def wave_group(self, name: str) -> xr.Dataset | None:
-        """Return one group of `waves`, such as "spectra", loaded into memory; None if there is none."""
+        """Return one group of `waves`, such as "spectra", loaded into memory; None if it does not exist."""
         if self.waves is None or name not in self.waves.children:
             return None
         return self.waves[name].to_dataset().load()
 
     @cached_property
     def truth(self) -> xr.Dataset | None:
-        """Exact elevation and velocity of a simulated experiment, lazy; None if there are none."""
+        """Exact elevation and velocity of a simulated experiment, lazy; None if not simulated or missing."""
         file = self.experiment_path or _named(self.store, self.cube.attrs, "experiment_file")
         path = (self.experiment.path if self.experiment else file).parent / "truth" / "truth.zarr"
         if not path.is_dir():
@@ -271,7 +271,7 @@ class Run:
 
     @cached_property
     def pair_statistics(self) -> xr.Dataset | None:
-        """Errors of each pair of cameras (`wavefield.pipeline.assess.pair_statistics`); None without them."""
+        """Errors of each camera pair (`wavefield.pipeline.assess.pair_statistics`); None if not stored."""
         from wavefield.store.results import read_pair_statistics
 
         found = read_pair_statistics(self.store)

@@ -65,7 +65,7 @@ def refuse_implausible_rigs(experiment: Experiment, rig: Rig, rig_file: str) -> 
 
 def refuse_own_frame(rig: Rig, rig_file: str) -> None:
     """Raise RigError if a rig has no camera positions, or if a camera is at the origin of the coordinates.
-    ``rig_file`` is the name of the rig in messages."""
+    In such coordinates z = 0 is not the water. ``rig_file`` is the name of the rig in messages."""
     if rig.lenses_alone:
         raise RigError(
             f"{rig_file} contains lenses but no camera positions; for two cameras at sea, "
@@ -196,7 +196,7 @@ class PreparedRun:
 
     @property
     def in_light_sheet(self) -> bool:
-        """Whether particles in a light sheet are measured, not the surface."""
+        """True if particles in a light sheet are measured, False for beads on the water surface."""
         return self.geometry.z_is_known
 
     @property

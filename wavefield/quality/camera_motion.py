@@ -133,7 +133,7 @@ def _patch_means(values: Array, side: float) -> Array:
 
 
 def regress(samples: Sequence[Sample]) -> tuple[float, float] | None:
-    """Fit the delay of a pair's second camera behind its first, by a robust regression over several frames.
+    """Fit the delay of the second of two cameras behind the first, by a robust regression over all samples.
     ``samples`` has one `Sample` per frame. Returns the delay and the standard uncertainty of the delay, in
     frame intervals; None for fewer than two samples, or if the water hardly moves."""
     if len(samples) < 2:
@@ -168,8 +168,8 @@ def _fit_delay(samples: Sequence[Sample], weights: Sequence[Array]) -> tuple[flo
 
 
 def _residuals(one: Sample, weight: Array) -> tuple[Array, Array]:
-    """Return eps_y (px) and velocity (px per frame) of the m patches without their linear trends in x and y.
-    A trend is a constant and two slopes, fitted by least squares with the patch weights ``weight`` (m,)."""
+    """Return eps_y (px) and velocity (px per frame) of the m patches, each minus its fit by `Sample.design`.
+    The columns of this array (1, x, y) are fitted by least squares with the patch weights ``weight`` (m,)."""
     root = np.sqrt(weight)[:, None]
     both = np.stack([one.eps_y, one.velocity], axis=-1)
     fit = np.linalg.lstsq(root * one.design, root * both, rcond=None)[0]

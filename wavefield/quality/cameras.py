@@ -221,7 +221,7 @@ class ConsistencyTable:
 
 def score(found: Sequence[PairConsistency]) -> float:
     """Return the mean fraction of the patches of two cameras that match; ``found`` has one element per frame.
-    It is 0 if the eps_y of the patches scatters as much as that of wrong matches."""
+    The score is 0 if the epipolar errors of the patches scatter as much as in wrong matches."""
     scatter = [one.eps_y.std() for one in found if len(one.eps_y) >= MIN_PATCHES]
     if not scatter or float(np.median(scatter)) >= MAX_SCATTER:
         return 0.0

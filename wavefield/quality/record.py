@@ -267,7 +267,7 @@ def rise_ratios(cube: xr.Dataset) -> tuple[Array, Array]:
 
 def discontinuous_steps(ratio: Array, variance: Array) -> NDArray[np.intp]:
     """Return the steps at which ``ratio`` (n,) jumps; both arguments are results of `rise_ratios`.
-    The ratio there differs significantly from the mean of the two neighbouring steps, and by more than at any
+    At such a step it differs significantly from the mean of the two neighbouring steps, by more than at any
     other step up to `AROUND` steps away."""
     usual = np.nanmedian(ratio) if np.isfinite(ratio).any() else np.nan
     jump, std = np.full((2, ratio.size), np.nan)
@@ -301,7 +301,7 @@ def _slope(values: Array, on: Array, usable: Mask) -> tuple[float, float]:
 
 
 def _patches(values: Array) -> Array:
-    """Return the sums of a field (ny, nx) over square patches of nodes, `PATCHES` along its shorter side."""
+    """Return the sums of a field (ny, nx) over square patches, `PATCHES` of them along the shorter side."""
     side = max(min(values.shape) // PATCHES, 1)
     ny, nx = (n // side for n in values.shape)
     return np.asarray(values[: ny * side, : nx * side].reshape(ny, side, nx, side).sum(axis=(1, 3)))

@@ -124,7 +124,7 @@ def remark_on_cameras_left_out(quality: NDArray[np.uint16], cameras: Sequence[st
 
 
 def remark_on_rest(experiment: Experiment, rig: Rig, level_std: float = float("nan")) -> Remark:
-    """Return the remark on what z = 0 is: water at rest, mean surface, target's plane or light sheet.
+    """Return the remark that names the plane z = 0: water at rest, mean surface, target or light sheet.
     ``level_std`` is the standard uncertainty of this level, m; NaN if unknown."""
     if experiment.settings.get("sheet_thickness") is not None:
         return _remark_on_sheet(experiment, rig)
