@@ -1,4 +1,4 @@
-"""Fields (ny, nx) on the lattice of blocks: smoothing, slopes, steps, outliers, and the noise of scores."""
+"""Operations on fields (ny, nx) on the lattice of blocks: smoothing, slopes, Gauss-Newton steps, noise."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def filtered(field: np.ndarray, weights: np.ndarray, out: np.ndarray | None = No
 def smoothed(
     field: np.ndarray, sigma: float, order: int, weighting: tuple[np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:
-    """Smooth a field f (ny, nx) by 1 - (1 - G)^order, with G a Gaussian of `sigma` blocks; not if sigma is 0.
+    """Smooth a field f (ny, nx) by 1 - (1 - G)^order, with G a Gaussian of `sigma` blocks (0: no smoothing).
     With `weighting` from `smoother_weights`, G is the weighted mean G(w f) / G(w)."""
     if sigma == 0:
         return field
@@ -91,7 +91,7 @@ def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.n
 
 @njit
 def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) -> None:
-    """Subtract from scores (2, ny, nx), in place, what displacement gradients inside the blocks add.
+    """Subtract the effect of displacement gradients inside blocks from scores `sums` (2, ny, nx), in place.
     `slope` (4, ny, nx) are the gradients (see `slopes`), `moments` (9, ny, nx) from `gradient_moments`."""
     _, ny, nx = sums.shape
     for j in range(ny):
@@ -107,9 +107,10 @@ def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) ->
 def subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float]:
-    """Subtract from scores (2, ny, nx), in place, what strain of cut beads adds; return factors c and s^2.
-    `reevaluate` explains them. `moments` (8, ny, nx) come from `strain_moments`, `slope` (4, ny, nx) are
-    displacement gradients, and `count` (ny, nx) is 1 for usable blocks, else 0."""
+    """Subtract from scores `sums`, in place, the strain of beads cut by block edges; return c and s^2.
+    `reevaluate` defines both factors. `sums` is (2, ny, nx). `moments` (8, ny, nx) come from
+    `strain_moments`, `slope` (4, ny, nx) are displacement gradients, and `count` (ny, nx) is 1 for usable
+    blocks, else 0."""
     aa, ab, bb, ra, rb = _strain_products(sums, moments, slope, count)
     determinant = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
     c = min(max((ra * bb - rb * ab) / determinant, 0.0), 1.0)
@@ -120,9 +121,9 @@ def subtract_strain(
 
 @njit
 def _strains(moments: np.ndarray, slope: np.ndarray, j: int, i: int) -> Any:
-    """Return x and y of the first, then of the second term that strain adds to the score of block (j, i).
-    The first comes from the brightness of the image, the second from its second derivatives. Both lack their
-    factors c and s^2 (`subtract_strain`, which describes the arguments)."""
+    """Return the two terms that strain adds to the score of block (j, i): x and y of each term.
+    The first term comes from the brightness of the image, the second from its second derivatives. They are
+    not yet multiplied by c and s^2. `subtract_strain` describes the arguments."""
     ux, shear, vy = slope[0, j, i], slope[1, j, i] + slope[2, j, i], slope[3, j, i]
     divergence = ux + vy
     return (
@@ -281,8 +282,8 @@ def noise_of_scores(
 
 
 def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
-    """Return a weight of each block, (ny, nx), 1 in general, smaller where scores far exceed noise around.
-    Such are edges of objects, and where beads enter or leave. Arguments are those of `noise_of_scores`."""
+    """Return a weight of each block, (ny, nx): 1, or less where its score far exceeds the noise around it.
+    Examples are edges of objects, and beads that enter or leave. Arguments are as in `noise_of_scores`."""
     square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
     information = _clusters(trace * counts)
     least = F(HOLE_INFORMATION) * information.mean()
@@ -300,8 +301,8 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
     """Return a mask (ny, nx), True for blocks in holes, which have little information around them.
-    The mean of the inverse variances `information` (ny, nx) over 7 x 7 blocks is at most 0.15 of the
-    typical."""
+    The mean of the inverse variances `information` (ny, nx) over 7 x 7 blocks is at most 0.15 times
+    `typical_information`."""
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )

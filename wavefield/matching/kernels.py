@@ -157,7 +157,7 @@ def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
 
 @inlined
 def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
-    """Do what `_spline_columns` does, and also write the second derivative along y to e (w + 4,)."""
+    """Smooth row y of an image along y into s; write its first and second derivatives along y to d and e."""
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
     d1, d2 = F(10 / 24), F(1 / 24)
     r0, r1, r2 = image[y + PAD - 2][PAD - 2 :], image[y + PAD - 1][PAD - 2 :], image[y + PAD][PAD - 2 :]
@@ -436,8 +436,8 @@ def final_sums(
     first: Array, second: Array, u: Array, v: Array, slopes: Array, work: WorkSpace, out: Array
 ) -> None:
     """Write sums over each block of the images `first` and `second`, with borders, to out (12, ny, nx).
-    Planes 0 and 1 are the two scores, those from 5 on the moments of `_strip_sums`; 2 to 4 are left to the
-    caller. The displacement u, v (ny, nx), px, of the blocks' centres has the gradients `slopes` (4, ny, nx):
+    Planes 0 and 1 are the two scores, those from 5 on the moments of `_strip_sums`; 2 to 4 are not
+    written. The displacement u, v (ny, nx), px, at block centres has the gradients `slopes` (4, ny, nx):
     du/dx, du/dy, dv/dx, ..."""
     n = u.shape[1] * BLOCK
     rows, sums = work.rows, work.sums

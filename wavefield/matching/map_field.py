@@ -218,7 +218,7 @@ def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
 
 @reassociating
 def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
-    """Multiply a row of a field of one component by A, in place.
+    """Multiply a row of a field of one component by the information A, in place.
     a0 to a3 are A at the four places of `_four_places`. `top` holds the parts of the field that are even
     along y, `bottom` the odd ones."""
     ee, eo, oe, oo = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
@@ -231,7 +231,7 @@ def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom
 
 @reassociating
 def _multiply_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
-    """Do what `_multiply_one` does for a field of two components; a0 to a3 are (3, n): xx, xy, yy of A."""
+    """Multiply a row of a two-component field by A, as in `_multiply_one`; a0 to a3 (3, n) are xx, xy, yy."""
     ue, uo, pe, po = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     ve, vo, qe, qo = top[0, 1], top[1, 1], bottom[0, 1], bottom[1, 1]
     x0, x1, x2, x3 = a0[0], a1[0], a2[0], a3[0]
@@ -431,7 +431,7 @@ def _with_slopes_along_x(field: Float) -> Float:
 
 @lru_cache(maxsize=16)
 def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
-    """Return weights (6,) that fit a slope, an exponential (nx,) of end slope 1, a smoother (ny, ny)."""
+    """Return weights (6,) to fit an edge slope, an exponential (nx,) of end slope 1, a smoother (ny, ny)."""
     t = np.arange(EDGE_REACH, dtype=np.float32) - np.float32((EDGE_REACH - 1) / 2)
     profile = EDGE_REACH * np.exp((np.arange(nx) + 0.5 - nx) / EDGE_REACH)
     modes = cosines(ny, ny)

@@ -88,7 +88,7 @@ class PosteriorVariance:
         return noise, missing
 
     def _to_full_lattice(self, some: Float) -> Float:
-        """Interpolate a field that is given at every fourth block to all blocks, (ny, nx)."""
+        """Interpolate a field `some`, given at every fourth block, to all blocks, (ny, nx)."""
         ny, nx = self.shape
         scale = np.array([[EVERY, 0.0, 0], [0, EVERY, 0.0]])
         return cv2.warpAffine(some, scale, (nx, ny), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -96,9 +96,10 @@ class PosteriorVariance:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
-    """Write the variances for each block's mean information to out (n, ny, nx), from a table (n, levels).
-    The kernel of the mean depends on the level of information, so the level whose own mean x (levels, ny, nx)
-    equals it is used. `log` are the levels and `variance` the table, both logarithms."""
+    """Write n variances of each block to out (n, ny, nx), interpolated in a table over mean information.
+    `log` (levels,) are the logarithms of tabulated information, `variance` (n, levels) those of the
+    variances. x (levels, ny, nx) is the mean by the kernel of each level; the level that equals its own mean
+    is used."""
     for j in range(x.shape[1]):
         for i in range(x.shape[2]):
             previous = np.log(max(x[0, j, i], F(1e-30))) - log[0]
@@ -128,7 +129,7 @@ def _squared_response(gain: Float) -> Float:
 def hole_variance(spectrum: Float) -> Float:
     """Return the variance of a field inside a hole without data, at 0, 1, 2, ... blocks from its rim, (n,).
     Value and slope are known at the rim, so it is C(0) - C(r)^2 / C(0) - C'(r)^2 / |C''(0)|, with the field's
-    covariance C at the distance r from the rim. `spectrum` (ny, nx) is that of the field."""
+    covariance C at the distance r from the rim. `spectrum` (ny, nx) is the power of each mode."""
     covariance = _impulse(spectrum)
     side = min(spectrum.shape)
     curve = 0.5 * (covariance[0, :side] + covariance[:side, 0])

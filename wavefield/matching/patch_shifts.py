@@ -85,8 +85,8 @@ def locate(patch: Float, around: Float) -> tuple[float, float, float]:
 
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return those of the displacements `moved` (m, 2), px, that agree with that of another patch.
-    Two agree if they differ by less than 12 px plus 25 % of their length. NaN are left out."""
+    """Return the rows of `moved`, displacements (m, 2) of patches in px, that agree with another row.
+    Two displacements agree if they differ by less than 12 px plus 25 % of their length. NaN are left out."""
     moved = moved[np.isfinite(moved[:, 0])]
     apart = np.hypot(*(moved[:, None] - moved).T) - TOLERANCE_PX - 0.25 * np.hypot(*moved.T)
     return np.asarray(moved[(apart < 0).sum(axis=0) > 1])

@@ -225,7 +225,7 @@ def _excluding(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> M
 
 
 def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
-    """Return a mask (h, w), True in uniform patches of at least 5 x 5 px at the largest value; None without.
+    """Return a mask (h, w), True in uniform patches of at least 5 x 5 px at the largest value; None if none.
     `columns` are the numbers of the columns that contain the `largest` value."""
     # every patch contains one pixel of a grid whose step is the side of the smallest patch
     columns = columns[columns % BLOCK == BLOCK - 1]

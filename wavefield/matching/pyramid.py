@@ -229,7 +229,7 @@ def reevaluate(
 
     A displacement with gradients e_jk = du_j/dx_k strains the sampled images of beads, while real beads keep
     their shape. The residual a - b of beads then contains e_jj a + s^2 e_jk a_jk, with second derivatives
-    a_jk of image a and the variance s^2 of a bead's image (of a blurred texture, only the second term). A
+    a_jk of image a and the variance s^2 of a bead's image (for a blurred texture, only the second term). A
     complete bead adds nothing to the score, but a bead that is cut by the edge of a block does. Therefore c
     e_jj a + s^2 e_jk a_jk, with 0 < c < 1, is fitted to the scores and subtracted. Repeated indices are
     summed.
@@ -247,9 +247,10 @@ def scores_at(
 ) -> Displacement:
     """Return the match `found` of two cameras with scores and Hessians at a new u, v (ny, nx), px.
 
-    Two cameras see a bead unequally bright, so that a block with a part of it would seem to move. Every pixel
-    therefore counts in the block that contains the brightest point of its bead. The validity of the blocks
-    stays that of `found`; scores and Hessians are 0 in unusable blocks and in the eight around each.
+    A bead differs in brightness between cameras, so a block with a part of a bead would appear displaced.
+    Every pixel therefore counts in the block that contains the brightest point of its bead. The validity of
+    the blocks stays that of `found`; scores and Hessians are 0 in unusable blocks and in the eight around
+    each.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
     pair.update_weights(u, v)

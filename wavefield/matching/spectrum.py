@@ -57,11 +57,11 @@ Power = tuple[tuple[tuple[float, ...], ...], ...]
 
 @dataclass(frozen=True)
 class Prior:
-    """Spectrum of a field in both wavenumbers, and the information of its blocks.
+    """Spectrum of a field as a function of kx and ky, and the typical inverse variance of its blocks.
 
     Each component of an image displacement has a directional spectrum of its own, because a short wave moves
-    the water along its direction and an oblique camera sees it shortened. Cosines do not distinguish the four
-    quarters of direction, so a quarter turn suffices.
+    the water along its direction and an oblique camera sees it shortened. A cosine mode is the same for
+    directions mirrored in x or y, so directions cover a quarter turn.
     """
 
     k: tuple[float, ...]  # wavenumbers at which the spectrum is tabulated, rad per block
@@ -199,8 +199,8 @@ class WavenumberRings:
 
     def significant(self, ratio: Float) -> NDArray[np.bool_]:
         """Return a mask (rings,), True for rings whose `ratio` (rings,) of power to noise shows waves.
-        These are the first three; those before the first with a ratio below 0.3; and any below 2 rad per
-        block in which the ratio exceeds 1.5, both alone and averaged with its two neighbours."""
+        These are the first three rings; those before the first with a ratio below 0.3; and any ring below 2
+        rad per block in which the ratio exceeds 1.5, both alone and averaged with its two neighbours."""
         occupied = self.count > 0
         below = np.flatnonzero(~(occupied & (ratio > DETECTED_SIGNAL_TO_NOISE)))
         last = max(int(below.min(initial=RINGS)), 3)
@@ -269,7 +269,7 @@ def refined_prior(
     `information` A the typical inverse variance of a block, F its footprint. With a spectrum S and noise N =
     1 / (F^2 A), a MAP field has the gain G = S / (S + N) and the power G^2 (S + N), so S = sum(|D|^2 - G^2 N)
     / sum G^2 over the modes of a ring or of one of its sectors. In rings that do not stand out from the
-    noise, S is the upper limit of undetected waves; after the last ring that does, S is a power law.
+    noise, S is the upper limit of undetected waves; beyond the last ring that does, S is a power law.
     Directions are averaged over neighbouring rings and drawn towards uniform where modes are few.
     `noise_alone` are pairs (coefficients, information) of MAP fields that contain only noise. These give the
     noise as a function of wavenumber; its magnitude comes from the rings with the lowest power.
@@ -316,7 +316,7 @@ def _signals_and_noise(
     `spectrum` the old prior's; `refined_prior` describes the other arguments."""
 
     def block_noise(of: float) -> Float:
-        """Return N = 1 / (F^2 A) of every mode, for the information A = `of`."""
+        """Return the noise variance N = 1 / (F^2 A) of every mode, for the information A = `of`."""
         return np.asarray(1.0 / (np.square(foot, dtype=np.float64) * of))
 
     rings, noise = _over_gain(waves, spectrum, block_noise(information), binning.rings)
@@ -380,7 +380,7 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
 
 
 def shrinkage(variance: float, noise: float, waves: float) -> float:
-    """Return the fraction of a learned spectrum that is waves, 0 to 1; the rest is noise of long waves.
+    """Return the fraction of a learned spectrum that is waves, 0 to 1; the rest is long-wave noise.
 
     `variance` is measured in the MAP fields; the prior predicts `noise` for its noise and `waves` for its
     waves. The fraction is 1 if variance - noise is at least half of `waves` or three times `noise`; below the
@@ -412,7 +412,7 @@ def _extrapolated(
     upper_limit: Float,
 ) -> NDArray[np.float64]:
     """Replace a spectrum (rings,) from ring number `last` on by a power law through the rings before it.
-    The law stays below `upper_limit`; rings before get at least 0.01 `noise`. k are the rings'
+    The law stays below `upper_limit`. Rings before `last` are raised to at least 0.01 `noise`. k (rings,) are
     wavenumbers."""
     out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
     first = max(last - SLOPE_RINGS, 1)
