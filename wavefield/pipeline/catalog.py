@@ -70,8 +70,8 @@ def catalog_add(catalog: str | Path, experiment: str | Path, name: str | None = 
 
 def _add_cube(catalog: Path, data: dict[str, Any], place: Path, cube: Path) -> None:
     """Make a link to the folder that holds ``cube`` in ``place``, the folder of a run, if the cube exists.
-    The name of the link is the hash of the cube's recipe. The hash is also added, in place, to the values of
-    the parameter ``recipe`` in ``data``, the content of the catalog."""
+    The name of the link is the hash of the cube's recipe (record of inputs). It is also added, in place,
+    to the values of the parameter ``recipe`` in ``data``, the content of the catalog."""
     from wavefield.store.read import is_cube, open_group
 
     if not is_cube(cube):
@@ -196,7 +196,7 @@ def find_experiment(catalog: str | Path, chosen: Mapping[str, str]) -> "Experime
 
 def cube_of(catalog: str | Path, chosen: Mapping[str, str]) -> Path:
     """Return the path of a cube of the run ``chosen["run"]`` of a catalog; the cube need not exist.
-    ``chosen["recipe"]`` is the first 8 digits of the hash of its recipe; by default the latest cube."""
+    ``chosen["recipe"]`` is the hash (8 digits) of its recipe, the record of inputs; by default the latest."""
     return _folder(catalog, chosen) / chosen.get("recipe", "latest") / "cube.zarr"
 
 

@@ -91,7 +91,7 @@ def read_frame(source: Source, index: int, before: np.ndarray | None = None) -> 
 
 
 class ChunkFrames(Sequence[np.ndarray | None]):
-    """The images of one camera in a chunk of n steps, n + 5 frames, read on demand; None for bad frames.
+    """The n + 5 images of one camera for a chunk of n steps, read on demand; None for bad or absent frames.
     ``bad`` holds the fault and a message of each bad frame read so far, by its index in the record."""
 
     _KEEP = 2 * AROUND + 2  # frames that one step uses
@@ -132,7 +132,7 @@ class ChunkFrames(Sequence[np.ndarray | None]):
 
 
 class ChunkMasks(Sequence[np.ndarray | None]):
-    """The masks of one camera in a chunk of n steps, for n + 5 frames; None for a frame without a mask."""
+    """The masks of one camera for the n + 5 frames of a chunk of n steps; None for a frame without a mask."""
 
     def __init__(self, source: Source, chunk: Chunk) -> None:
         self._source, self._chunk = source, chunk
@@ -152,7 +152,7 @@ def measure_chunk(
     model: "Model | None" = None,
     terms: bool = False,
 ) -> Measured:
-    """Measure elevation and velocity at all steps of a chunk; ``frame_rate`` is in Hz.
+    """Measure elevation and velocity at all steps, from frame to frame, of a chunk; ``frame_rate`` is in Hz.
     ``model`` is the estimator, trained on sample frames; None if that failed. With ``terms``, the
     fields of the result include ``uncertainty_terms``, the terms of the standard uncertainties."""
     from wavefield.measurement.step import measure

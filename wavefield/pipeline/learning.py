@@ -40,8 +40,8 @@ def learn_record(
 
 
 def samples(sources: Mapping[str, Source], steps: Sequence[int]) -> list[Mapping[str, Source]]:
-    """Return, for each of ``steps``, three frames by camera: the frame before the step and its own two.
-    The first step of a record has only its own two frames."""
+    """Return, for each step, three frames by camera: the two of the step, and the frame before them.
+    There is no frame before the first step of a record."""
     return [{n: s.window(max(k - 1, 0), k + 2) for n, s in sources.items()} for k in steps]
 
 

@@ -201,7 +201,7 @@ class PreparedRun:
 
     @property
     def steps(self) -> int:
-        """Number of steps of the record."""
+        """Number of steps of the record: one less than its frames."""
         return len(next(iter(self.series.values()))) - 1
 
     @property

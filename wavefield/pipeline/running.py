@@ -124,7 +124,7 @@ def run(
 def process(
     prepared: PreparedRun, path: Path, map_unordered: MapUnordered, progress: ProgressFunction | None = None
 ) -> Status:
-    """Create the store ``path`` or resume it, measure all chunks that are left, and assess the cube.
+    """Create the store ``path`` or resume it, measure all chunks of steps that are left, and assess the cube.
     The caller must have locked the store. ``map_unordered(work, chunks)`` runs ``work`` on workers, and
     yields each chunk with its result or exception. RunStopped if the run is interrupted."""
     refuse_small_fields(prepared.geometry, prepared.experiment.path)
@@ -195,7 +195,7 @@ def _open_or_create(prepared: PreparedRun, path: Path) -> tuple[PreparedRun, Sto
 
 
 def unfinished(path: Path, layout: StoreLayout, series: Mapping[str, FrameSeries]) -> list[tuple[int, int]]:
-    """Return the chunks of a store that are not done, each as (first step, last step + 1). Chunks whose files
+    """Return the chunks of steps still to measure, each as (first step, last step + 1). Chunks whose files
     are missing, or which had bad frames that can be read now, are first marked as not started."""
     from wavefield.measurement.images import usable
 

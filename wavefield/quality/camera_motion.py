@@ -302,7 +302,7 @@ class CameraMotion:
 
 def camera_motion(cube: xr.Dataset) -> CameraMotion:
     """Fit a constant and linear terms in x and y to the epipolar error ``eps_y`` of each step of a cube.
-    Steps with few measured nodes are left out."""
+    A step is the interval between two frames. Steps with few measured nodes are left out."""
     count, ny, nx = cube.eps_y.shape
     every = slice(None, None, max(1, int(np.sqrt(ny * nx / MAX_SAMPLES))))
     x, y = np.meshgrid(*(np.linspace(-1, 1, n)[every] for n in (nx, ny)))

@@ -87,7 +87,7 @@ def remark_on_unresolved_waves(
 
 
 def remark_on_steps(status: Status) -> Iterator[Remark]:
-    """Yield remarks on steps that could not be measured, and on measured steps that use bad frames."""
+    """Yield remarks on steps (from frame to frame) that were not measured, or measured with bad frames."""
     if status.failed:
         everything = status.failed == status.steps
         yield Remark(
