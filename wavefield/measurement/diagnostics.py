@@ -67,7 +67,7 @@ class Diagnosis:
 
 def rms_within(values: NDArray[Any]) -> tuple[float, float]:
     """Return the rms of the values without outliers, and the fraction of outliers; only finite values count.
-    Outliers are beyond three times the rms of all."""
+    Outliers are values larger than three times the rms of all values."""
     values = values[np.isfinite(values)]
     if values.size == 0:
         return float("nan"), 0.0
@@ -84,9 +84,9 @@ def diagnose(
 ) -> Diagnosis:
     """Compare elevation and motion between the pairs of cameras, in one step.
 
-    `frames` are both frames of each camera, `masks` True on pixels to ignore. `model` is learned from these
-    frames if None. ValueError if a frame is missing or unusable, if nothing can be matched, or for a light
-    sheet.
+    `frames` are the first and second frame of each camera, `masks` True on pixels to ignore. `model` is
+    learned from these frames if None. ValueError if a frame is missing or unusable, if nothing can be
+    matched, or for a light sheet.
     """
     if geometry.z_is_known:
         raise ValueError("cameras of a light sheet are not matched with each other: no pairs to compare")
@@ -148,7 +148,7 @@ def _learned(
 
 
 def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
-    """Return the match between the second cameras of two pairs with the same first camera.
+    """Return the match between the second cameras of two pairs, which have the same first camera.
     Displacement and parallax are those of pair `one` minus those of pair `other`."""
     d, parallax = one.difference - other.difference, one.parallax - other.parallax
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / np.hypot(*parallax)
@@ -163,7 +163,8 @@ def _moved(
     geometry: GridGeometry,
     model: Model,
 ) -> tuple[dict[Pair, NDArray[Any]], dict[tuple[str, ...], NDArray[Any]], list[float]]:
-    """Return `moved` and `eps_piv` of `Diagnosis`, and the median standard uncertainties of dx, dy, dz, m.
+    """Return displacements, m, and misfits, px, by pair, and median standard uncertainties of dx, dy, dz, m.
+    The first two are the fields `moved` and `eps_piv` of `Diagnosis`.
     `views` are the images of both frames, `middle` (ny, nx) the elevation half-way between them, metres;
     `pairs` are the pairs of cameras."""
     moved: dict[Pair, NDArray[Any]] = {}
@@ -193,8 +194,8 @@ def diagnose_around(
     model: Model | None,
     middle: int,
 ) -> Diagnosis | None:
-    """Compare the cameras (`diagnose`) in one step: of those that can be compared, the nearest to `middle`.
-    `read(camera, frame)` gives an image or None. None if the MAX_TRIED_STEPS steps nearest to it fail."""
+    """Compare the cameras (`diagnose`) in the step nearest to number `middle` in which that is possible.
+    `read(camera, frame)` gives an image or None. Returns None if the MAX_TRIED_STEPS nearest steps fail."""
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:MAX_TRIED_STEPS]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}
         try:

@@ -49,7 +49,7 @@ Flows = Mapping[str, CameraFlow]
 
 @dataclass
 class FlowEstimate:
-    """Most probable (MAP) displacement between two frames: cosines + smooth part + second harmonic."""
+    """Most probable (MAP) displacement between two frames: cosine series + smooth part + second harmonic."""
 
     waves: Float  # (2, my, mx): cosine coefficients, px
     edges: Float = field(repr=False)  # (2, ny, nx): smooth part (`Modes.split`), px
@@ -65,14 +65,14 @@ class FlowEstimate:
 
 
 def filled(found: matching.Displacement) -> Float:
-    """Return u and v of a match, (2, ny, nx), px, with invalid blocks filled by means of blocks around."""
+    """Return u and v of a match, (2, ny, nx), px, with averages of the blocks around in invalid blocks."""
     return push_pull(np.stack([found.u, found.v]), found.valid)
 
 
 def harmonics(midway: Float) -> Float:
     """Return the displacement at start points minus that at midpoints, (D . grad) D / 2, (2, ny, nx), px.
     D = `midway` (2, ny, nx), px, is the displacement at midpoints. The mean of the factor D before grad is
-    subtracted, because a common motion only shifts waves."""
+    subtracted, because a uniform displacement only shifts waves."""
     x, y = midway
     xx, xy, yx, yy = slopes_of(x, y)
     x, y = x - x.mean(), y - y.mean()

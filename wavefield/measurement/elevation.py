@@ -66,7 +66,7 @@ class PairMatch:
 
     @property
     def turned(self) -> PairMatch:
-        """The match with parallaxes turned by 90 degrees: its `height` contains errors, but no elevation."""
+        """The match with parallaxes turned by 90 degrees: its `height` is the epipolar error over |dD|, m."""
         return replace(self, parallax=quarter_turn(self.parallax))
 
 
@@ -132,7 +132,7 @@ class Blocks:
 
     @property
     def filled(self) -> Float:
-        """Elevation, (1, ny, nx), metres, with holes filled by means of the blocks around."""
+        """Elevation, (1, ny, nx), metres, with averages of the blocks around in holes."""
         return push_pull(self.z[None], self.valid)
 
 
@@ -183,8 +183,8 @@ def map_elevation(
 ) -> ElevationEstimate:
     """Estimate the most probable elevation (MAP) from the matches of all pairs; `blocks` is from `combine`.
     With parallax dD, px per m, the score s and Hessian H of a block give -dD . s and dD H dD for z. The noise
-    is that across the sight lines, or of the scores for z if not `noise_across`. `pixel` is the side of a
-    rectified pixel, m. With `whole_beads`, a bead counts in one block only (`scores_at`)."""
+    is measured across the sight lines, or, if not `noise_across`, from the scores for z. `pixel` is the side
+    of a rectified pixel, m. With `whole_beads`, a bead counts in one block only (`scores_at`)."""
     z = blocks.filled
     edges, waves = modes.split(z)
     pairs = [_PairScores(m, pixel) for m in matches]
@@ -444,7 +444,7 @@ def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPair
 
 
 def windowed(matches: Sequence[PairMatch], geometry: GridGeometry) -> Float:
-    """Return z at the nodes, (ny, nx), m, from matches alone, without a spectrum; NaN where none is valid."""
+    """Return z at the nodes, (ny, nx), m, from matches alone, without a prior; NaN where none is valid."""
     blocks = combine(matches)
     if not blocks.valid.any():
         return np.full(geometry.grid.shape, np.nan, np.float32)
@@ -461,8 +461,9 @@ def matched_pixels(
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
     """Match points of still water in all cameras, to level a rig; return their pixels (n, 2) by camera.
-    Pixels are (column, row). Point n is the same in all cameras, NaN where its pair does not match.
-    `read(camera, frame)` gives an image or None. CalibrationError if no frame is usable in all cameras."""
+    Pixels are (column, row). Point n is the same in all cameras, NaN where the pair of the camera does not
+    match. `read(camera, frame)` gives an image or None. CalibrationError if no frame is usable in all
+    cameras."""
     rig = geometry.rig
     cells = np.s_[::CLUSTER, ::CLUSTER]  # closer blocks share beads
     x, y = (v[cells] for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))

@@ -119,8 +119,9 @@ def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int
 
 def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> float:
     """Return the variance of z, m^2, due to waves that start or stop within the six frames.
-    They show in z from six minus z from four frames, which otherwise has the variance noise sum (w6 - w4)^2 +
-    sum S |K6 - K4|^2, with the weights w of the frames, the gains K and the variances S of the waves."""
+    They are seen in the difference of z from six and from four frames, which otherwise has the variance noise
+    sum (w6 - w4)^2 + sum S |K6 - K4|^2, with the weights w of the frames, the gains K and the variances S of
+    the waves."""
     six, four = (frame_weights(times, FRAMES_OF_Z[n])[0] for n in (6, 4))
     apart = np.exp(1j * np.outer(waves.phase, times)) @ (six - four)
     expected = waves.variance @ np.square(np.abs(apart))
@@ -221,7 +222,7 @@ def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
 
 
 def bead_tilt(rise: Float, step: float, height: float) -> Float:
-    """Return how far beads move over the water per step as it tilts, -height grad(rise), (2, ny, nx), metres.
+    """Return the motion of beads relative to tilting water per step, -height grad(rise), (2, ny, nx), metres.
     `rise` (ny, nx) is the change of z per step, `step` the grid spacing, `height` that of beads; metres."""
     along_y, along_x = np.gradient(rise, step)
     return np.nan_to_num(-height * np.stack([along_x, along_y]))
@@ -250,13 +251,14 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
 
 
 def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry) -> tuple[float, float]:
-    """Return two variances of the ripples' rise per frame, m^2: as two cameras share it, and in one camera.
+    """Return two variances of the ripples' rise per frame, m^2: from two cameras together and from one.
 
     Ripples whose rise has the variance c move the blocks of cameras a and b with the covariance J_a diag(1/2,
     1/2, 1) J_b^T c, with J the Jacobians on the surface z (ny, nx), metres. c is fitted to the products of
-    the scores of two cameras, and to those of one camera with itself. Scores are first divided by the square
-    root of their Hessian's trace, so that all have equal noise. The pair that shares least counts, because
-    neighbours also share changes of light. `found` are the displacements by camera.
+    the scores of two cameras (first result), and to the squared scores of each (second result, their
+    geometric mean). Scores are first divided by the square root of their Hessian's trace, so that all have
+    equal noise. The pair with the smallest ratio of the results is returned, because neighbouring cameras
+    also share changes of light. `found` are the displacements by camera.
     """
     scores, waves = {}, {}
     for name, one in found.items():

@@ -61,7 +61,7 @@ class Sight:
 
     def at(self, z: Float, every: int = 1) -> NDArray[np.float32]:
         """Return X and Y (px of the binned image) and the Jacobian by rows (px/m) of nodes at z: (8, ny, nx).
-        z is in metres. With `every` above 1, z and results are for every such node along x and y only."""
+        z is in metres. If `every` is n > 1, z and the results are for every n-th node along x and y."""
         return self._evaluate(z, self._polynomial[..., ::every, ::every])
 
     def position(self, z: Float) -> NDArray[np.float32]:
@@ -142,7 +142,8 @@ def fit_plane(
 
 def _reach(camera: Camera, edge: Float) -> Float:
     """Return points (n, 2), metres, that bound the part of z = 0 which a camera sees.
-    If the horizon is in view, they include the visible ones of the grid's edge nodes `edge` (m, 2), m."""
+    If the horizon is in view, they include those edge nodes of the grid, `edge` (m, 2), m, that are
+    visible."""
     view = view_on_water(camera)
     if np.isfinite(camera.corners()).all():
         return view
@@ -298,13 +299,13 @@ class GridGeometry:
     @property
     def z_is_known(self) -> bool:
         """Whether particles in a light sheet on z = 0 are measured, and not a water surface.
-        Cameras are then matched in time only, z and its rise are 0, and the gain of z is unknown."""
+        Cameras are then matched in time only, z and its rise are 0, and the gain of z is NaN."""
         return self.settings.sheet_thickness is not None
 
     @property
     def wave_variances(self) -> Float:
         """Relative variances (3,) of u, v, w in waves that the prior suppresses.
-        They are equal in a light sheet; on water, w has as much as u and v together."""
+        They are equal in a light sheet; on water, that of w equals the sum of those of u and v."""
         return np.ones(3) if self.z_is_known else WAVE_VARIANCES
 
     @property
@@ -370,7 +371,7 @@ class GridGeometry:
             raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
 
     def _fitting_pixel(self) -> float:
-        """Return the side of a rectified pixel, m: the coarsest camera's, or as little as half of it."""
+        """Return the side of a rectified pixel, m: that of the coarsest camera, or down to half of it."""
         own = max(pixel_sides(self.rig[name], *self.middle)[0] for name in self.surface_cameras)
         return max(own / 2.0, min(own, 0.8 * self.grid.step / BLOCK))
 

@@ -58,7 +58,7 @@ def _skewness(part: NDArray[Any]) -> float:
 
 
 def above_floor(image: NDArray[Any], width: float) -> NDArray[Any]:
-    """Remove objects wider than three bead widths (`width`, px) by a white top-hat; not if that is 0."""
+    """Remove objects wider than three bead widths (`width`, px) by a white top-hat; none if `width` is 0."""
     if not width:
         return image
     side = int(np.ceil(MAX_SIZE_TO_WIDTH * width)) // 2 * 2 + 3
@@ -103,7 +103,7 @@ def ready(
 
 
 def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
-    """Sharpen an image by `amount`: overlapping beads of unequal brightness in two cameras bias matches."""
+    """Return the image, sharpened by `amount` to reduce the bias of matches by overlapping beads."""
     kernel = np.array([-amount, 1.0 + 2.0 * amount, -amount], np.float32)
     part = np.ascontiguousarray(image, np.float32)
     return np.asarray(cv2.sepFilter2D(part, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REPLICATE))
@@ -247,7 +247,7 @@ class Images:
 
     def rectified(self, left_out: str | None = None) -> dict[str, matching.PreparedImage]:
         """Return the frames, rectified and prepared for matching between cameras, by camera.
-        There are none for a light sheet, and none of the camera `left_out`."""
+        The result is empty for a light sheet, and excludes the camera `left_out`."""
         if self.geometry.z_is_known:
             return {}
         return {

@@ -1,4 +1,4 @@
-"""The learned record; estimators and amplitude gains that follow from it for a geometry; convergence."""
+"""Values learned from a record (a series of frames); estimators, gains and convergence that use them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Float = NDArray[Any]
 
 @dataclass(frozen=True)
 class LearnedRecord:
-    """Beads, spectra and noise of a record, learned from sample frames (`learn`).
+    """Bead widths, spectra and noise of a record (a series of frames), learned from samples (`learn`).
     Values of single cameras are in pairs (name of the camera, value)."""
 
     beads: tuple[tuple[str, float], ...]  # widths of beads in the images of every camera, raw px; 0: texture
@@ -44,7 +44,7 @@ class LearnedRecord:
     ripples: tuple[float, float] = (0.0, 0.0)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the record as plain data (numbers, strings, lists), to be stored with a cube."""
+        """Return the learned values as plain data (numbers, strings, lists), to be stored with a cube."""
         return {
             "beads": dict(self.beads),
             "elevation": self.elevation.to_dict(),
@@ -190,7 +190,7 @@ class Convergence:
     ) -> tuple[Float, Float]:
         """Return the cosine coefficients (c, my, mx) to continue with, and their field averaged over blocks.
         They are the new ones, `solved`; the mean with the previous `waves` if solutions oscillate; or `waves`
-        if `solved` exceeds any image. `block_mean` (c, ny, nx) belongs to `waves`."""
+        if `solved` is larger than any image. `block_mean` (c, ny, nx) belongs to `waves`."""
         after = modes.block_mean(solved)
         self._diverged = not self._scale * float(np.abs(after).max()) < MAX_FIELD_PX  # true for NaN as well
         if self._diverged:
@@ -247,7 +247,7 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
 
 
 def shortest_carried(geometry: GridGeometry, record: LearnedRecord) -> dict[str, float]:
-    """Return, for z, u, v and w, the wavelength, m, at which the gain, averaged over directions, is 1/2.
+    """Return, for z, u, v and w, the wavelength, m, at which the direction-averaged gain is 1/2.
     It is two grid steps if the gain is larger at all wavenumbers of the grid."""
     k = np.linspace(0.0, np.pi / geometry.grid.step, 600)
     angle = np.arange(8)[:, None] * np.pi / 8

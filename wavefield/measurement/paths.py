@@ -321,7 +321,7 @@ def read_path(
 
 @dataclass(frozen=True)
 class CameraDisplacements:
-    """Displacements of particles in the images of N cameras, for the nodes at mid-time."""
+    """Displacements, in the images of N cameras, of the particles that are at the nodes at mid-time."""
 
     jacobian: Float  # (2N, 3, ny, nx): px per metre
     moved: Float  # (2N, ny, nx): displacement per step at mid-time, px; NaN where not seen
@@ -391,7 +391,8 @@ def _along_path(
     path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float, weights: Float
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
     """Return both results of `read_path` for one camera at pixels X, Y, and two variances, px^2.
-    They are from noise and from waves that the prior suppresses. In `path`, missing steps are None."""
+    The variances are due to noise, and to waves that the prior suppresses. In `path`, missing steps are
+    None."""
     here = path[len(path) // 2]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]

@@ -133,7 +133,7 @@ def _learned(
     pool: ThreadPoolExecutor,
     frame_rate: float | None,
 ) -> LearnedRecord | None:
-    """Do what `learn` does, with a pool of threads: all stages in order."""
+    """Run all stages of `learn` in order, with a pool of threads; arguments are as in `learn`."""
     # widths of the beads, which the preparation of the images needs
     beads = _bead_widths(steps, masks, geometry, pool)
     samples = list(pool.map(partial(_SampleStep.match, geometry, beads), steps, masks))
@@ -344,7 +344,7 @@ def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: 
 
 
 def _elevation_prior(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> tuple[Prior, float]:
-    """Return the prior of z, with its fraction of waves, and the noise of scores per unit of Hessian."""
+    """Return the prior of z, including its wave fraction, and the variance of scores per unit of Hessian."""
     prior = _first_spectrum(samples, pool)
     information, variance, epipolar, of_scores = _summary(samples, prior, pool)
     prior = replace(prior, information=information)
@@ -373,7 +373,7 @@ def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel
 
 @dataclass(frozen=True)
 class _Differences:
-    """Noise and waves, as found from differences between the displacements of the cameras."""
+    """Noise and wave parameters, found from differences between the displacements of the cameras."""
 
     noise: float = 1.0  # noise of the displacements over that which the priors predict
     waves: float = 1.0  # fraction of the displacements' spectra that is waves

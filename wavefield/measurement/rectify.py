@@ -116,7 +116,7 @@ def _weights(count: int) -> NDArray[np.float32]:
 
 @compiled()
 def _in(y: Any, h: int) -> Any:
-    """Return y limited to the rows 0 to h - 1 of an image."""
+    """Return the row number y, limited to the rows 0 to h - 1 of an image."""
     return min(max(y, 0), h - 1)
 
 
@@ -161,7 +161,8 @@ def _type_of_double(image: NDArray[Any]) -> np.dtype[Any]:
 
 
 def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[NDArray[Any]]:
-    """Yield parts of an image on a grid twice as fine, for each (first, last) row, in the same memory."""
+    """Yield the part of an image from row first to last, on a grid twice as fine, for each of `rows`.
+    All parts share the same memory."""
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
     image = np.ascontiguousarray(image)

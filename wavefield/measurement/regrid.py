@@ -37,7 +37,7 @@ class BlockLattice:
 
 
 def push_pull(fields: Float, valid: Mask) -> Float:
-    """Return fields (F, ny, nx), filled where `valid` is False by means over squares as large as needed."""
+    """Return fields (F, ny, nx), filled where not `valid` by averages over squares as large as needed."""
     # sums over squares of 1, 2, 4, ... blocks; the last plane is the number of valid blocks
     level = np.concatenate([np.where(valid, fields, 0), valid[None]]).astype(np.float32)
     levels = [level]
@@ -134,7 +134,7 @@ def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def place_of(p: float, n: int) -> tuple[int, np.float32]:
-    """Split a position p, in blocks of a lattice of n, into a block number and the fraction beyond, 0 to 1.
+    """Split a position p, in blocks of a lattice of n, into a block number and the rest, 0 to 1.
     Positions are first limited to at least one block from either end."""
     lowest, highest = np.float32(1.0), np.float32(n) - np.float32(2.001)
     q = min(max(np.float32(p), lowest), highest)
@@ -218,8 +218,8 @@ def blocks_below(
     lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Return the flat index of the block in which a camera sees each point, and a mask of points inside.
-    Points x, y, z (ny, nx) and the camera's `centre` are in metres. Inside is on the lattice; outermost
-    blocks are replaced by the next ones."""
+    Points x, y, z (ny, nx) and the camera's `centre` are in metres. The mask is True on the lattice. The
+    outermost blocks are replaced by their inner neighbours."""
     shrink = 1.0 / (1.0 - z / centre[2])
     row, column = (
         (c + (at - c) * shrink - first) / lattice.step

@@ -70,7 +70,7 @@ def first_guess(read: Read, cameras: Sequence[str], steps: Sequence[int]) -> Fir
 
 
 def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
-    """Return the settings with a search range that suits `guess`; the same object if theirs contains it."""
+    """Return the settings with search ranges that contain `guess`; the same object if they did already."""
     low, high = settings.piv.search_x or (-4.0, 4.0)  # px: what the pyramid covers without a search
     if not guess.found or (low <= min(guess.x[0], guess.y[0]) and max(guess.x[1], guess.y[1]) <= high):
         return settings
@@ -160,7 +160,7 @@ def _heights(
 
 
 def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, FirstHeights]:
-    """Return both arguments, with a wider range of elevations if those found fill more than 0.6 of it."""
+    """Return settings and `found`, with a wider range of z if the heights found fill more than 0.6 of it."""
     low, high = found.searched
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if not found.found or all(abs(z - middle) < MAX_FILLED_RANGE * half for z in found.z):
@@ -172,8 +172,8 @@ def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, Firs
 
 def search_widened(pairs: Iterable[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
     """Return the geometry with search ranges that suit some frames; the same object if they suffice.
-    `pairs` are both frames, by camera, of sample steps, of which the first two are searched. Ranges that the
-    user has set do not change."""
+    `pairs` are the first and second frames, by camera, of sample steps; only two steps are searched. Ranges
+    that the user has set do not change."""
     steps = list(islice(pairs, SEARCHED_STEPS))
 
     def read(name: str, frame: int) -> NDArray[Any] | None:

@@ -281,7 +281,7 @@ class Instant:
     _without: dict[str, Surface | None] = field(default_factory=dict)
 
     def without(self, camera: str, geometry: GridGeometry, model: Model) -> Surface | None:
-        """Return the surface measured without one camera, None if that fails; kept for later calls."""
+        """Return the surface measured without `camera`, None if that fails; cached for later calls."""
         if camera not in self._without:
             self._without[camera] = surface(self.images.rectified(camera), geometry, model.elevation)
         return self._without[camera]
@@ -305,7 +305,7 @@ def estimate_step(
     times: Float,
 ) -> StepEstimate | None:
     """Estimate elevation and motion of a step, without a camera that contradicts the others.
-    `window` are the six instants around, `moves` the displacements between. None if not measurable."""
+    `window` are the six instants around mid-time, `moves` the displacements between them. None on failure."""
     surfaces: Surfaces = [instant.surface for instant in window]
     estimate = _estimate(surfaces, moves, geometry, model.record.path_frames, times)
     if estimate is None:
@@ -331,7 +331,8 @@ def _estimate(
     may_leave_out: bool = True,
 ) -> StepEstimate | None:
     """Estimate elevation and motion at mid-time; None if fewer than two cameras have displacements.
-    With rolling shutters both are computed again, because the correction of each depends on the other."""
+    With rolling shutters, elevation and motion are computed again, because the correction of each depends on
+    the other."""
     first, second = surfaces[AROUND : AROUND + 2]
     assert first is not None
     assert second is not None

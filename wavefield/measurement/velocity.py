@@ -239,7 +239,7 @@ def mean_flow(
 
 
 def _cameras(steps: Sequence[Flows | None]) -> list[str]:
-    """Return the names of the cameras that have a displacement in the middle one of these steps."""
+    """Return the names of the cameras with a displacement in the middle step of `steps`."""
     return list(steps[len(steps) // 2] or {})
 
 
