@@ -199,7 +199,7 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
     """Return pairs of steps, px, from dot k to other dots that may be sides of a cell; smallest cells first.
-    There must be dots at the end of each step, at its opposite, and at the sum of the two steps."""
+    Only pairs with dots at the end of each step, at its opposite, and at the sum of both are returned."""
     _, near = tree.query(centre[k], min(22, len(centre)))
     vectors = centre[near[1:]] - centre[k]
     ends = cKDTree(vectors)

@@ -226,7 +226,7 @@ class Learner:
         self._next_s = 0.0
 
     def add(self, frames: tuple[Frames, Frames], masks: tuple[Masks, Masks]) -> None:
-        """Add the two frames of a step and their masks, by camera, and update the model if it is due.
+        """Add the two frames of a step and their masks, by camera, and learn the record again if that is due.
         It is due after a pause ten times as long as the last update took."""
         self._steps.append((frames, masks))
         begun = time.monotonic()

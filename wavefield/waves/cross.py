@@ -122,7 +122,7 @@ def _spectra(
     filled: Mapping[str, float],
 ) -> xr.Dataset:
     """Return the spectra that `analyze` writes: E(k, omega), E(k) and E(omega), with 95 % intervals.
-    They are valid where E exceeds four times `filled`, the power that interpolated nodes add."""
+    ``valid`` is true where E exceeds four times `filled`, the power that interpolated nodes add."""
     valid = ring["valid"]
     for name, added in filled.items():
         if added:
