@@ -177,8 +177,8 @@ def step(
     v: np.ndarray,
 ) -> None:
     """Add relaxation (H + ridge)^-1 s to u, v (ny, nx), px, in every block, in place: one Gauss-Newton step.
-    h (3, ny, nx) is xx, xy, yy of the Hessian H, and s (2, ny, nx) the scores, both summed over windows. The
-    step along each axis is at most `limit` px."""
+    h (3, ny, nx) is xx, xy, yy of the Hessian H, and s (2, ny, nx) the scores (gradient times residual), both
+    summed over windows. The step along each axis is at most `limit` px."""
     ny, nx = u.shape
     for j in range(ny):
         xx, xy, yy, sx, sy = h[0, j], h[1, j], h[2, j], s[0, j], s[1, j]
@@ -256,11 +256,11 @@ def noise_of_scores(
 ) -> Float:
     """Return the noise nu of the scores of blocks, (ny, nx): their variance per unit of their Hessian.
 
-    `score` is (c, ny, nx), `trace` (ny, nx) the trace of the Hessian, `counts` (ny, nx) 1 for usable blocks,
-    else 0. nu is the squared score of clusters of 5 x 5 blocks over their trace, both smoothed over 6 blocks,
-    divided by `freedom`, the fraction of the variance that a fit leaves. Where the trace is small, nu
-    approaches a typical value of the image: the mean, or the median if `with_mismatches`, because blocks that
-    do not match would raise the mean.
+    `score` (c, ny, nx) are sums of gradient times residual, `trace` (ny, nx) the trace of the Hessian,
+    `counts` (ny, nx) 1 for usable blocks, else 0. nu is the squared score of clusters of 5 x 5 blocks over
+    their trace, both smoothed over 6 blocks, divided by `freedom`, the fraction of the variance that a fit
+    leaves. Where the trace is small, nu approaches a typical value of the image: the mean, or the median if
+    `with_mismatches`, because blocks that do not match would raise the mean.
     """
     complete = (_clusters(counts) > CLUSTER**2 - 0.5).astype(np.float32)
     square = np.zeros_like(trace)

@@ -393,7 +393,7 @@ def _update_direction(ratio: F, step: Float, direction: Float) -> None:
 
 
 def _freedom(gain: Float) -> float:
-    """Return the fraction, at least 0.2, of the variance of scores that remains after a fit.
+    """Return the fraction, at least 0.2, of the variance of scores (gradient times residual) left by a fit.
     Scores are summed over 5 x 5 blocks; `gain` (ny, nx) is that of the MAP field in every cosine mode."""
     rows, columns = (_box(n) for n in gain.shape)
     power = np.square(rows[:, None] * columns)

@@ -228,7 +228,7 @@ def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float
 
 
 def _noise(score: Float, hessian: Float, freedom: float) -> Float:
-    """Return the variance of the scores for z per unit of their Hessian, (ny, nx), by `noise_of_scores`."""
+    """Return the variance of scores for z (gradient times residual) per unit of their Hessian, (ny, nx)."""
     return noise_of_scores(score[None], hessian, (hessian > 0).astype(np.float32), freedom)
 
 
@@ -256,7 +256,7 @@ def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, f
 
 
 class _PairScores:
-    """Scores and Hessians of one pair of cameras for the elevation; `pixel` is in metres."""
+    """Scores (gradient times residual) and Hessians of a pair of cameras for z; `pixel` is in metres."""
 
     def __init__(self, match: PairMatch, pixel: float) -> None:
         self.match, self.found = match, match.found
@@ -316,7 +316,8 @@ def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
 
 def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
     """Return a mask (ny, nx) of blocks where successive pairs would correct the common z differently.
-    This finds shifts of one pixel. Scores and Hessians are for z; `lengths` (ny, nx) are parallaxes, px/m."""
+    This finds shifts of one pixel. Scores (gradient times residual) and Hessians are for z; `lengths` (ny,
+    nx) are parallaxes, px/m."""
     means = [
         (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
         for s, h in zip(scores, hessians, strict=True)

@@ -104,8 +104,8 @@ def removed_by_prior(estimate: StepEstimate) -> Float:
 def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int, times: Float) -> Float:
     """Return the variance of waves that interpolation between frames does not follow, (4, ny, nx), m^2.
     For z it is `lost_by_elevation` plus `changed_waves`; for dx, dy, dz `lost_by_paths` plus `changed_waves`,
-    times WAVE_VARIANCES. `path_frames` is the kind of paths; `times` (6,) are in frame intervals from
-    mid-time."""
+    times WAVE_VARIANCES. `path_frames` is the kind of path polynomial (`path_weights`); `times` (6,) are in
+    frame intervals from mid-time."""
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     for count in np.unique(estimate.mid_time.frames).tolist():
         out[0][estimate.mid_time.frames == count] = lost_by_elevation(waves, count, times)

@@ -120,8 +120,10 @@ def rise_of_water(
     first: Surface, second: Surface, motion: Motion, flow: tuple[float, float], x: Float, y: Float
 ) -> Float:
     """Return the rise of particles per step, z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z, (ny, nx), m.
-    c, b and d are chord, bend and displacement at mid-time of `Motion`, z_0 and z_1 the `first` and `second`
-    surface. Where the motion was not measured, c is the mean `flow` (dx, dy), and b and d_z - c_z are 0."""
+    c is the displacement over the step (chord), b the mean of its end points minus the position at mid-time
+    (bend), and d the displacement per step at mid-time, all from `Motion`; z_0 and z_1 are the `first` and
+    `second` surface. Where the motion was not measured, c is the mean `flow` (dx, dy), and b and d_z - c_z
+    are 0."""
     measured = np.isfinite(motion.chord).all(axis=0)
     parts = *motion.chord[:2], *motion.bend[:2], motion.d[2] - motion.chord[2]
     # where the motion was not measured, use the mean flow

@@ -76,8 +76,8 @@ class LearnedRecord:
 
 class FieldModel:
     """Estimator of a field with the learned spectrum `prior` on a lattice of `shape` (ny, nx).
-    Only holes inside the mask `inner` (ny, nx) tighten the solver's tolerance; None: all. `whole_beads` tells
-    whether to use `scores_at` in place of `reevaluate`. Tables are computed at first use."""
+    Only holes inside the mask `inner` (ny, nx) tighten the solver's tolerance; None: all. With
+    `whole_beads`, each bead counts in one block only (`scores_at`). Tables are computed at first use."""
 
     def __init__(
         self,
@@ -115,8 +115,8 @@ class FieldModel:
 
 def elevation_model(geometry: GridGeometry, prior: Prior, beads: Mapping[str, float]) -> FieldModel:
     """Make the estimator of z, metres, on the blocks of the rectified images.
-    `beads` are bead widths by camera; if none is 0 (a texture), scores come from whole beads
-    (`scores_at`)."""
+    `beads` are bead widths by camera; if none is 0 (a texture), each bead counts in one
+    block only (`scores_at`)."""
     return FieldModel(prior, geometry.lattice.shape, _inner_blocks(geometry), all(beads.values()))
 
 
@@ -174,7 +174,7 @@ OSCILLATION_RATIO = 0.7  # solutions oscillate if a change exceeds this fraction
 
 
 class Convergence:
-    """Decides when successive solutions of a field have converged; `scale` is in px per unit of the field."""
+    """Decides when successive solutions of a MAP field have converged; `scale` is in px per field unit."""
 
     def __init__(self, scale: float = 1.0) -> None:
         self._scale, self._evaluations, self._change = scale, 0, np.inf
@@ -278,6 +278,6 @@ def _gain_of_velocity(
 
 
 def _gain_between_blocks(prior: Prior, qx: Float, qy: Float) -> Float:
-    """Return the gain (component, ...) of a MAP field read between blocks, at qx, qy, rad per block."""
+    """Return the gain (component, ...) of a MAP field interpolated between blocks; qx, qy: rad per block."""
     gain: Float = prior.gain(qx, qy)
     return gain * interpolation_gain(qx) * interpolation_gain(qy)

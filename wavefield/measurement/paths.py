@@ -43,7 +43,7 @@ _NOISE_CORRELATION = -0.2
 
 
 def elevation_gain(phase: Float, frames: int) -> Float:
-    """Return the gain of z from 2, 4 or 6 frames for a wave whose phase turns by `phase`, rad, per frame."""
+    """Return the amplitude gain of z from 2, 4 or 6 frames for a wave with `phase` change, rad, per frame."""
     weights = {2: (1.0,), 4: (9 / 8, -1 / 8), 6: (150 / 128, -25 / 128, 3 / 128)}[frames]
     return np.asarray(sum(w * np.cos((n + 0.5) * phase) for n, w in enumerate(weights)))
 

@@ -70,10 +70,11 @@ def solve_nodes(
 ) -> None:
     """Solve for the motion of the water at n nodes, seen by N cameras, and write it to out (16, n).
 
-    Rows in threes: displacement d at mid-time, chord, bend, variance of d due to noise. Then one row each:
-    variance of suppressed waves over `parts` (3,), relative variances of u, v, w; misfit |J d - moved| /
-    sqrt(2N), px; chi^2 per degree of freedom; the factor (at least 1) by which chi^2 enlarges the noise
-    variance. `jacobian` is (2N, 3, n), `axes` (N, 3), the other fields (2N, n), as in `CameraDisplacements`.
+    Rows in threes: displacement d at mid-time; displacement over the step (chord); mean of its end points
+    minus the position at mid-time (bend); variance of d due to noise. Then one row each: variance of
+    suppressed waves over `parts` (3,), relative variances of u, v, w; misfit |J d - moved| / sqrt(2N), px;
+    chi^2 per degree of freedom; the factor (at least 1) by which chi^2 enlarges the noise variance.
+    `jacobian` is (2N, 3, n), `axes` (N, 3), the other fields (2N, n), as in `CameraDisplacements`.
     """
     rows, n = moved.shape
     weight = np.empty(rows)
