@@ -164,7 +164,7 @@ SIDES = 128, 64, 64  # px: side of the windows in each pass; a fourth pass chang
 
 @dataclass(frozen=True)
 class LightSheet:
-    """Result of `find_sheet`: a rig with z = 0 in the light sheet, and the sheet's former position."""
+    """Result of `find_sheet`: a rig with z = 0 in the light sheet, and the sheet's place in the given rig."""
 
     rig: Rig  # z = 0 in the middle of the sheet
     height: float  # Height of the sheet above the old z = 0 at the origin, metres

@@ -48,7 +48,7 @@ def check(
     Counts the frames of each camera, lists missing ones, and computes how much of the grid all cameras see.
     Measures a few steps to estimate time, memory and disk space of the run. Compares the cameras' images to
     find a camera that is mirrored, swapped, late, reversed, blurred, covered, or has moved. Writes nothing.
-    The exit status is 1 if something prevents a run, 3 if the verdict has remarks that matter.
+    The exit status is 1 if something prevents a run, 3 if the verdict has remarks beyond notes.
     """
     from wavefield import pipeline
     from wavefield.execution.process import keep_memory

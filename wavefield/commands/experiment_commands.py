@@ -99,7 +99,7 @@ def run(
     """Measure an experiment, or all or some runs of a catalog.
 
     To resume a run that was interrupted, give the same command again, or name its cube. The exit status is 1
-    if nothing could be measured, 3 if the verdict has remarks that matter.
+    if nothing could be measured, 3 if the verdict on the run has remarks beyond notes.
     """
     from wavefield import pipeline
     from wavefield.execution.process import keep_memory
@@ -169,7 +169,7 @@ def _not_done(cube: Path, commands: Sequence[str] = ("analyze", "report")) -> st
 def status(context: click.Context, store: Path, as_json: bool) -> None:
     """Show the progress of a run, failed frames, and the verdict.
 
-    The exit status is 3 if the verdict has remarks that matter, 1 if nothing could be measured.
+    The exit status is 3 if the verdict has remarks beyond notes, 1 if nothing could be measured.
     """
     from wavefield.pipeline import status as run_status
 

@@ -251,14 +251,15 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
 
 
 def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry) -> tuple[float, float]:
-    """Return two variances of the ripples' rise per frame, m^2: from two cameras together and from one.
+    """Estimate the variance of the ripples' rise per frame, m^2, in two ways: from the displacements that two
+    cameras share, and from those of each camera alone.
 
     Ripples whose rise has the variance c move the blocks of cameras a and b with the covariance J_a diag(1/2,
     1/2, 1) J_b^T c, with J the Jacobians on the surface z (ny, nx), metres. c is fitted to the products of
     the scores of two cameras (first result), and to the squared scores of each (second result, their
     geometric mean). Scores are first divided by the square root of their Hessian's trace, so that all have
-    equal noise. The pair with the smallest ratio of the results is returned, because neighbouring cameras
-    also share changes of light. `found` are the displacements by camera.
+    equal noise. Of all pairs of cameras, the one with the smallest ratio first / second is returned,
+    because neighbouring cameras also share changes of light. `found` are the displacements by camera.
     """
     scores, waves = {}, {}
     for name, one in found.items():

@@ -85,7 +85,7 @@ class RigFile(Part):
 
 
 class Spots(Part):
-    """Brightness of beads or particles in the images."""
+    """Settings: how bright beads or particles are in the simulated images."""
 
     brightness: Positive = Field(default=110.0, description="mean height of a spot, grey levels of 255")
     spread: NotNegative = Field(default=0.35, description="relative spread of brightness over beads")

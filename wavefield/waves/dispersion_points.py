@@ -329,8 +329,9 @@ def _strongest_sector(points: RelationPoints) -> Array:
 def window_displacement(
     spectrum: PlaneSpectrum, band: Array, sectors: Sectors, current: Array
 ) -> tuple[Array, Array]:
-    """Return the keys of points, and the displacement of their k by Hann windows, rad/m, each (points,).
-    The displacement is that of simulated free waves, at the frequencies of the mask `band`."""
+    """Simulate free waves, and return by how much Hann windows displace the k of their centroids, rad/m.
+    Returned are the keys of the centroids (`RelationPoints.key`) and their displacements, both (points,), at
+    the frequencies of the mask `band`."""
     free_waves = windowed_waves(spectrum, current)[band]
     simulated = replace(spectrum.on_lines(band), energy=free_waves, noise=np.zeros_like(free_waves))
     points = centroids(simulated, sectors, current)

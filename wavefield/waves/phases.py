@@ -96,8 +96,9 @@ def phase_weights(angle: Array, phases: int) -> Array:
 
 
 def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict[str, Array]:
-    """Return sums over steps of each field, weighted by `weights` (steps, phases), "mean <field>", and by
-    `design` (steps, n), "fit <field>", and of its squares, "square <field>". Nodes are the last axes."""
+    """Return three sums over steps for each field, whose last axes are the nodes (y, x): "mean <field>",
+    weighted by `weights` (steps, phases); "fit <field>", weighted by `design` (steps, n); "square <field>",
+    the unweighted sum of squares."""
     sums: dict[str, Array] = {}
     first = 0
     for run in read.record.runs:

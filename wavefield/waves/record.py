@@ -142,7 +142,7 @@ class Record:
         return sum(b - a for a, b in self.runs if b - a >= shortest)
 
     def some_steps(self, count: int) -> list[int]:
-        """Return at most ``count`` evenly spaced steps that are measured and inside runs."""
+        """Return at most ``count`` evenly spaced steps that are measured and belong to an unbroken run."""
         missing = set(self.bridged)
         steps = [t for a, b in self.runs for t in range(a, b) if t not in missing]
         return sorted({steps[i] for i in np.linspace(0, len(steps) - 1, count).astype(int)})

@@ -106,8 +106,9 @@ def add_segment(
     second: dict[str, Array],
     begin: int,
 ) -> None:
-    """Add the powers and cross products of one segment, and its Fourier transforms at 16 nodes, to `sums`.
-    `first` and `second` are `transforms` of the halves of the segment, and `begin` is its first step."""
+    """Add the powers and cross products of one segment to `sums`. Keep there also its Fourier transforms in
+    time at 16 nodes of the grid, from which degrees of freedom follow. `first` and `second` are `transforms`
+    of the halves of the segment, and `begin` is its first step."""
     if not sums:
         sums |= empty_sums(first[requested.names[0]], requested, welch.table)
     table, dt, names = welch.table, welch.record.dt, requested.names

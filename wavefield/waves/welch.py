@@ -165,7 +165,8 @@ class Reader:
 
 
 def cut_chains(record: Record, segment: int) -> list[list[Link]]:
-    """Return the half segments of a `Record`, in lists (chains) of up to four consecutive segments."""
+    """Cut a `Record` into half segments, grouped in chains, which are lists; segments consist of two
+    neighbours in a chain. A chain has up to five half segments, that is up to four segments."""
     half = segment // 2
     out = []
     for run in record.runs:
