@@ -26,8 +26,8 @@ class WavesAccessor:
     Notes
     -----
     Each method calls the function of `wavefield.waves` with the same name, on the cube. `spectrum`, `komega`
-    and `structure_functions` work on one field of the cube instead. Its name is their first argument, by
-    default "w" for the first two and "z" for the third; all their other arguments are keywords.
+    and `structure_functions` work on one variable of the cube. The name of the variable is the first
+    argument, by default "w" ("z" for `structure_functions`); all other arguments are keywords.
 
     Examples
     --------
@@ -41,8 +41,8 @@ class WavesAccessor:
 
 
 def _method(name: str, field: str | None) -> Callable[..., Any]:
-    """Return a method for `WavesAccessor` that calls the function `name` of `wavefield.waves`.
-    It passes the whole cube if `field` is None, otherwise one variable of the cube, by default `field`."""
+    """Return a method for `WavesAccessor` that calls the function `name` of `wavefield.waves`. The function
+    gets the cube if `field` is None, otherwise one variable of the cube, by default `field`."""
 
     def call_with_cube(self: WavesAccessor, *args: Any, **options: Any) -> Any:
         return getattr(waves, name)(self._cube, *args, **options)

@@ -112,8 +112,9 @@ def _in_threads(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[An
 def one_pass(
     cube: xr.Dataset, welch: Welch, requested: Requested, progress: Progress | None, each: Each
 ) -> dict[str, Any]:
-    """Read a cube once and return its sums over Welch segments, with keys of `products.GIVEN`. `each(work,
-    items)` applies work to groups of up to four segments; `progress(done, total)` counts groups."""
+    """Read a cube once and return a dictionary of sums over its Welch segments; `products.GIVEN` explains the
+    keys. `each(work, items)` yields `work(item)` for groups of up to four segments; `progress(done, total)`
+    is called with numbers of groups."""
     record = welch.record
     scale = moments.rough_scales(cube, record, list(moments.QUANTITIES.values()))
     read = Reader([cube[name] for name in FIELDS], record)
@@ -299,7 +300,7 @@ def record_notes(welch: Welch, cube: xr.Dataset, depth: float) -> list[str]:
 
 
 def _note_on_holes(record: Record, z: xr.DataArray) -> str:
-    """Return a sentence on interpolated nodes: their number, error of z and effect on E(omega)."""
+    """Return a sentence on interpolated nodes: their number, the error of z and what it adds to E(omega)."""
     share = record.holes / (record.steps_in_runs() * record.shape[0] * record.shape[1])
     text = f"{record.holes} missing nodes ({100 * share:.2g} %) were filled from their neighbours"
     error = filled_error(record, z)

@@ -48,7 +48,7 @@ def bicoherence_of(z: np.ndarray) -> np.ndarray:
 
 
 def correlations_of(z: np.ndarray) -> np.ndarray:
-    """Return the squared correlation (n, n) between frequencies of Fourier coefficients `z` (n, samples)."""
+    """Return the squared correlation (n, n) of Fourier coefficients `z` (n, samples) at two frequencies."""
     gram = np.abs(z @ z.conj().T) ** 2
     power = np.maximum(gram.diagonal(), 1e-300)
     return np.asarray(gram / np.sqrt(power[:, None] * power))
@@ -56,8 +56,8 @@ def correlations_of(z: np.ndarray) -> np.ndarray:
 
 def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarray:
     """Return the largest tricoherence of each pair (omega1, omega2), (n, n), from coefficients `z` (n,
-    samples). Quartets are left out if omega3 is close to omega1, or if leakage correlates them: if products
-    of the correlations `shared` (n, n) between their frequencies exceed `limit`."""
+    samples). Sets of four waves are left out if omega3 is nearly omega1, or if spectral leakage alone makes
+    them coherent: if products of the correlations `shared` (n, n) between frequencies exceed `limit`."""
     n = z.shape[0]
     (herk,) = linalg.get_blas_funcs(("herk",), (z,))
     value = np.full((n, n), np.nan)
@@ -84,8 +84,8 @@ def tricoherence_of(z: np.ndarray, shared: np.ndarray, limit: float) -> np.ndarr
 
 
 def shuffle_phases(z: np.ndarray, points: int, rng: np.random.Generator) -> np.ndarray:
-    """Return Fourier coefficients `z` (n, segments * points) with random phases, which removes phase
-    coupling. All `points` of a segment get the same phase at a frequency, so that they remain correlated."""
+    """Return Fourier coefficients `z` (n, segments * points) times random phases, which remove phase
+    coupling. At a frequency, all `points` of a segment get the same phase, so that they remain correlated."""
     n, samples = z.shape
     phase = np.exp(2j * np.pi * rng.random((n, samples // points))).astype(z.dtype)
     return np.asarray(z * np.repeat(phase, points, axis=1))
@@ -115,9 +115,9 @@ def _level_of_largest(surrogates: list[np.ndarray]) -> np.ndarray:
 
 
 def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
-    """Return bicoherence and tricoherence over (omega1, omega2), rad/s, and levels exceeded by chance in 5 %.
-    `series` is (time, points) with time step `dt`, s. `segment`, in steps, is shortened to have at most 48
-    frequencies. CubeError if only one segment fits."""
+    """Return bicoherence and tricoherence over (omega1, omega2), rad/s, and levels that uncoupled waves
+    exceed in 5 % of cases. `series` is (time, points) with time step `dt`, s. `segment` (steps) is shortened
+    if it gives more than 48 frequencies. CubeError if only one segment fits."""
     count = min(segment // 2 + 1, int(HIGHEST_HZ * segment * dt) + 1)
     if count > LINES:
         segment = max(int(segment * LINES / count) // 2 * 2, 16)
@@ -152,8 +152,8 @@ def higher_order(series: np.ndarray, dt: float, segment: int) -> xr.Dataset:
 
 
 def _group(series: np.ndarray, welch: Welch) -> xr.Dataset | Noted:
-    """Return the bicoherence and tricoherence that `analyze` writes, or only a note if segments are too few.
-    `series` (time, points) is the vertical velocity w, m/s, at points about 8 cm apart."""
+    """Return the bicoherence and tricoherence that `analyze` writes, or a note if there are fewer than four
+    segments. `series` (time, points) is the vertical velocity w, m/s, at points about 8 cm apart."""
     if welch.count < LEAST_COUNT:
         return Noted(None, ["Bicoherence and tricoherence were left out: they need four segments at least."])
     return higher_order(series, welch.record.dt, welch.segment)

@@ -54,9 +54,9 @@ def _series(field: xr.DataArray, record: Record) -> list[Array]:
 
 
 def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array, Array]:
-    """Return sums of z^0 to z^4 (blocks, 5), and how many crests are higher, and how many troughs deeper,
-    than each level, both (blocks, levels). Levels are `LEVELS` times `sigma`, m. Each of `runs`, z (time,
-    points), is cut into blocks of `block` steps."""
+    """Return three arrays for blocks of `block` steps: sums of z^0 to z^4 (blocks, 5); numbers of crests
+    above each level (blocks, levels); numbers of troughs deeper than each level (blocks, levels). Each of
+    `runs` is z (time, points), m. Levels are `LEVELS` times `sigma`, m."""
     sums, above = [], []
     for run in runs:
         count = run.shape[0] // block
@@ -75,7 +75,7 @@ def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array
 
 
 def _moments(sums: Array) -> Array:
-    """Return significant height, skewness and excess kurtosis (..., 3) from sums of z^0 to z^4 (..., 5)."""
+    """Return significant height, skewness and excess kurtosis (..., 3). `sums` (..., 5) are of z^0 to z^4."""
     mean, m2, m3, m4 = (sums[..., p] / sums[..., 0] for p in (1, 2, 3, 4))
     variance = m2 - mean**2
     third = m3 - 3 * mean * m2 + 2 * mean**3

@@ -58,7 +58,8 @@ def _estimates(
 def label(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
-    """Return the Dataset of `cross_spectra` from `sums`, to which `sums.add_segment` added all segments."""
+    """Return the Dataset of `cross_spectra` from `sums` over all segments, which `sums.add_segment`
+    computed."""
     coords: dict[str, Any] = {"quantity": list(names)} | omega_coords(welch.omega) | k_coords(welch.table.k)
     if pairs:
         coords["pair"] = ["*".join(pair) for pair in pairs]
@@ -69,7 +70,8 @@ def label(
 
 
 def checked_fields(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return the fields, in m and m/s, that the quantities `names` need; CubeError if one is missing."""
+    """Return the variables of a cube from which `names` are computed, in SI units. CubeError if one is
+    missing."""
     fields = sources(names)
     for field in fields:
         if field not in cube:
@@ -87,8 +89,8 @@ def cross_spectra(
     record: Record | None = None,
 ) -> xr.Dataset:
     """Return power spectra E (quantity, omega, k) of `names` and cross spectra S (pair, omega, k) of `pairs`.
-    Quantities are z, z_t, u, v, w, nl = (u - U) . grad z and rise = z_t + U . grad z, with the mean velocity
-    U. S of "a*b" is <conj(a) b>. ``dof`` is for E; ``samples`` are the independent samples of S."""
+    Names are z, z_t, u, v, w, nl = (u - U) . grad z and rise = z_t + U . grad z, with the mean velocity U.
+    The pair "a*b" has S = <conj(a) b>. ``dof`` belongs to E, ``samples`` (independent samples) to S."""
     cube = checked_fields(cube, names)
     welch = Welch.of(cube, segment, record)
     # the current decides how long waves stay in the window, and so the degrees of freedom
@@ -103,8 +105,8 @@ def with_mean_current(cube: xr.Dataset, welch: Welch) -> Welch:
 
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
-    """Return `cross_spectra` with E corrected for the gain of the measurement, and a mask ``valid_k``.
-    The mask (quantity, k) is true where the gain is known and exceeds 0.5. It is false for rise and nl."""
+    """Return `ring`, from `cross_spectra`, with E corrected for the gain of the measurement. A mask
+    ``valid_k`` (quantity, k) is added: true where the gain is known and above 0.5, false for rise and nl."""
     names = ring["quantity"].values
     factor, valid = np.ones((names.size, ring.sizes["k"])), np.zeros((names.size, ring.sizes["k"]), bool)
     for i, name in enumerate(names):
@@ -122,7 +124,7 @@ def _spectra(
     filled: Mapping[str, float],
 ) -> xr.Dataset:
     """Return the spectra that `analyze` writes: E(k, omega), E(k) and E(omega), with 95 % intervals.
-    ``valid`` is true where E exceeds four times `filled`, the power that interpolated nodes add."""
+    ``valid`` is false where E is below four times `filled`, the power that interpolated nodes add."""
     valid = ring["valid"]
     for name, added in filled.items():
         if added:
@@ -152,8 +154,8 @@ TERMS = {"w": "rise*w", "nl": "rise*nl", "tot": "rise*w"}
 
 
 def significance_level(samples: Any) -> Any:
-    """Return the squared coherence that unrelated signals exceed in 5 % of cases.
-    `samples` is their number of independent samples, a number or an array."""
+    """Return the squared coherence that unrelated signals exceed in 5 % of cases. `samples`, a number or an
+    array, is the number of independent samples of the signals."""
     more = np.maximum(samples - 1, 1e-9)
     return 1 - CHANCE ** (1 / more)
 
@@ -166,7 +168,7 @@ def _above_noise(energy: xr.DataArray) -> xr.DataArray:
 
 
 def coherence_group(ring: xr.Dataset) -> xr.Dataset:
-    """Return the Dataset of `coherence` from `cross_spectra` of rise, w, nl and their three pairs."""
+    """Return the Dataset of `coherence` from `ring`, the `cross_spectra` of rise, w, nl and their pairs."""
     rise, w, nl = (ring["E"].sel(quantity=name, drop=True) for name in COHERENCE_NAMES)
     rise_w, rise_nl, w_nl = (ring["S"].sel(pair="*".join(pair), drop=True) for pair in COHERENCE_PAIRS)
     terms = xr.Variable("term", list(TERMS))
@@ -192,7 +194,7 @@ def coherence_group(ring: xr.Dataset) -> xr.Dataset:
 
 @takes(a_cube)
 def coherence(cube: xr.Dataset, *, segment: int | None = None) -> xr.Dataset:
-    """Coherence of z_t with w, with -u . grad z and with their sum, over k and over (k, omega).
+    """Coherence of z_t with w, with -u . grad z and with w - u . grad z, for each k and for each (k, omega).
 
     Parameters
     ----------
@@ -207,8 +209,8 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None) -> xr.Dataset:
         All variables are dimensionless. Over (term, k), for the terms w, nl (-u . grad z) and tot (their
         sum): the complex coherence ``C``, with the same norm for all terms; the squared coherence ``gamma2``;
         the number of independent ``samples``; and ``level``, the gamma2 that unrelated signals exceed in 5 %
-        of cases. The same with ``_komega`` after the name are over (term, omega, k). ``valid`` (k) is true
-        where z_t and w exceed three times their noise; elsewhere, common noise may cause coherence.
+        of cases. Variables such as ``C_komega`` are the same quantities over (term, omega, k). ``valid`` (k)
+        is true where z_t and w exceed three times their noise; elsewhere, the noise itself may be coherent.
 
     Raises
     ------
@@ -219,9 +221,9 @@ def coherence(cube: xr.Dataset, *, segment: int | None = None) -> xr.Dataset:
     -----
     All terms refer to a frame that moves with U, the mean of u, v over the record: z_t stands for z_t + U .
     grad z, and u for u - U. C = <conj(z_t) a> / sqrt(<|z_t|^2> <|w - u . grad z|^2>) for a term a, with <>
-    the mean over segments and directions and, for C(k), the sum over omega >= 0. C of w and of nl add up to
-    that of tot, and |C| of w may exceed 1. gamma2 has each term's own norm; its mean is 1 / samples for
-    unrelated signals.
+    the mean over segments and directions and, for C(k), the sum over omega >= 0. C of tot is the sum of C of
+    w and C of nl, and |C| of w may exceed 1. In gamma2, <|a|^2> replaces <|w - u . grad z|^2>; its mean is
+    1 / samples for unrelated signals.
 
     Examples
     --------
@@ -241,7 +243,7 @@ register(WaveProduct("coherence", ("ring",), coherence_group, group="coherence",
 
 @takes(a_cube)
 def plane_coherence(cube: xr.Dataset) -> xr.Dataset:
-    """Coherence of z_t with w, -u . grad z and their sum at each wave vector, and its mean over direction.
+    """Coherence of z_t with w, -u . grad z and w - u . grad z at each wave vector; mean over directions.
 
     Parameters
     ----------
@@ -300,8 +302,8 @@ def plane_coherence(cube: xr.Dataset) -> xr.Dataset:
 
 
 def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
-    """Return sums over time, each (cells,), of the transforms z_t, w, -nl and of their products, by name.
-    `parts` holds spatial Fourier transforms (cells, steps) of rise, w and nl; rise is used as z_t."""
+    """Return sums over time, each (wave vectors,), of z_t, w, -nl and of the products in `_plane_coherences`.
+    `parts` are spatial Fourier transforms (wave vectors, steps) of rise, w and nl; rise serves as z_t."""
     z_t, w, nl = (parts[name] for name in COHERENCE_NAMES)
     return {
         "z_t": z_t.sum(axis=1),
@@ -315,8 +317,8 @@ def _plane_sums(parts: dict[str, Array]) -> dict[str, Array]:
 
 
 def _plane_coherences(mean: dict[str, Array]) -> Array:
-    """Return the moduli, (3, cells), of three coherences: of w, of -nl and of w - nl, each with z_t.
-    nl is u . grad z, a cell is a wave vector, and `mean` is the mean over steps of `_plane_sums`."""
+    """Return the moduli (3, wave vectors) of the coherences of z_t with w, with -nl and with w - nl. nl is u
+    . grad z. `mean` is a result of `_plane_sums` divided by the number of steps."""
     power = mean["power"] - np.abs(mean["z_t"]) ** 2
     total = mean["total"] - np.abs(mean["w"] + mean["nl"]) ** 2
     norm = np.sqrt(np.maximum(power * total, 1e-300))

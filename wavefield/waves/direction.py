@@ -1,4 +1,4 @@
-"""Directional spectrum of the free waves. `water` is depth (m) and surface tension over density (m3/s2)."""
+"""Directional spectrum of the free waves. `water` is (depth in m, surface tension over density in m3/s2)."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -43,8 +43,9 @@ SECTOR_CORRELATION = 1.3
 def packet_correlation(
     ky: Array, kx: Array, omega: Array, water: tuple[float, float], current: tuple[float, float], dof: float
 ) -> Array:
-    """Return the factor (ky, kx) by which slow waves, correlated between segments, raise a spectrum's
-    variance. `ky`, `kx` (rad/m) and `omega` (rad/s) are its axes; each value has `dof` degrees of freedom."""
+    """Return the factor (ky, kx) by which waves that stay in the field for several segments raise a
+    spectrum's variance. `ky`, `kx` (rad/m) and `omega` (rad/s) are the axes of the spectrum. Each of its
+    values has `dof` degrees of freedom."""
     k = np.maximum(np.hypot(ky[:, None], kx), 1e-9)
     speed = group_velocity(k, *water) / k
     velocity = speed * kx + current[0], speed * ky[:, None] + current[1]
@@ -57,8 +58,8 @@ def packet_correlation(
 
 def sector_covariances(shares: Array, energy: Array, dof: float) -> Array:
     """Return the covariance matrix (sectors, sectors) of the energies in sectors of direction. `shares`
-    (sectors, cells) is the fraction of each cell (ky, kx) in each sector. Each value of `energy` (frequency,
-    ky, kx) has `dof` degrees of freedom, and is correlated with its neighbours by Hann windows."""
+    (sectors, cells) is the area fraction of each cell (ky, kx) inside each sector. Each value of `energy`
+    (frequency, ky, kx) has `dof` degrees of freedom; Hann windows correlate neighbouring values."""
     lines, ny, nx = energy.shape
     reach = min(2, lines - 1)
     over_lines = ndimage.convolve1d(energy, _HANN[2 - reach : 3 + reach], axis=0, mode="constant")
@@ -87,8 +88,8 @@ def sector_freedom(levels: Array, covariances: Array) -> Array:
 
 
 def harmonic_stds(levels: Array, covariances: Array, theta: Array) -> tuple[float, float]:
-    """Return standard uncertainties of the first harmonic of D(theta), along and across its direction.
-    `levels` (sectors,) are energies at directions `theta`, rad, with the matrix `covariances`."""
+    """Return standard uncertainties of the first harmonic of D(theta), along and across the mean direction.
+    `levels` (sectors,) are energies at directions `theta`, rad, with the covariance matrix `covariances`."""
     total = max(levels.sum(), 1e-300)
     turned = np.exp(1j * theta)
     first = (levels * turned).sum() / total
@@ -104,7 +105,7 @@ LOWEST_HZ = 0.5  # chosen: below it, the elevation integrated from w is mostly d
 
 def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, float]) -> Array:
     """Return E(k, omega + k . U), (lines, ky, kx), the spectrum in a frame that moves with the current U,
-    m/s. `lines` are indices of frequencies. Values shifted from above the highest frequency are zero."""
+    m/s. `lines` are indices of omega. E is zero where omega + k . U exceeds the highest frequency."""
     values = density.values
     if not any(current):
         return np.asarray(values[lines], float)
@@ -147,8 +148,9 @@ class _RingSectors:
         self.place = (sector * self.cells + cell).ravel()[by_radius]  # in (sectors, cells)
 
     def shares(self, centre: float, half: float) -> tuple[Array, Array]:
-        """Return the area fraction of each cell in each sector of a ring, (sectors, cells), and a coverage.
-        The ring is `centre` +- `half`, rad/m. The coverage is the fraction of each sector in the k plane."""
+        """Return the area fraction of each cell in each sector of a ring, (sectors, cells), and the coverage
+        (sectors,). The ring is |k| = `centre` +- `half`, rad/m. The coverage is the fraction of a sector
+        inside the k plane."""
         first = np.searchsorted(self.radius, centre - half, "right")
         ring = slice(first, np.searchsorted(self.radius, centre + half, "left"))
         parts = np.bincount(self.place[ring], minlength=self.count * self.cells)
@@ -235,8 +237,8 @@ def directions(
 def elevation_density(
     density: xr.DataArray, current: tuple[float, float], frames: int, water: tuple[float, float]
 ) -> xr.DataArray:
-    """Return E(omega, ky, kx) of the elevation, by integration in time of w with the spectrum `density`.
-    The frequency is that in water moving at `current`, m/s; `frames` is the code `path_frames` of w."""
+    """Return E(omega, ky, kx) of the elevation, the time integral of w, from the spectrum `density` of w. w
+    is integrated in a frame that moves at `current`, m/s. `frames` is the result of `frames_of`."""
     omega, ky, kx = np.meshgrid(
         *(density[name] for name in ("omega", "ky", "kx")), indexing="ij", sparse=True
     )

@@ -40,8 +40,8 @@ BAND_WIDTH = 0.5  # Hz, chosen: width of the bands in which the points are compa
 
 
 def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Array], Array]:
-    """Return a function of the current (2,), m/s: model minus measured omega of `points`, normalised.
-    It is divided by the uncertainty of k, converted to omega with the relation on the current `around`."""
+    """Return a function that maps a current (2,), m/s, to misfits: (model - measured omega) / standard
+    uncertainty. The uncertainty is that of k times d omega / dk, on the current `around`."""
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
     free, speed = dispersion(points.k, *water), group_velocity(points.k, *water)
     slope = speed + (around[0] * kx + around[1] * ky) / points.k
@@ -85,7 +85,7 @@ def distance_from_relation(points: RelationPoints, water: Water, current: Array)
 
 
 def against_theory(points: RelationPoints, water: Water, current: Array) -> dict[str, Any]:
-    """Return ``ridge_error`` and ``band_frequency`` (see `fit_dispersion`) as arguments for a Dataset."""
+    """Return ``ridge_error`` and ``band_frequency`` of `fit_dispersion`, as (dimension, values) by name."""
     distance = distance_from_relation(points, water, current)
     band = np.floor(points.omega / (2 * np.pi) / BAND_WIDTH)
     numbers, inverse = np.unique(band, return_inverse=True)
@@ -136,7 +136,7 @@ def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float
     the current U whose relation contains most energy. Points are centroids in k of the energy above the
     noise, at each frequency and in 24 sectors of direction, weighted by their inverse variance. Hann windows
     displace the centroids; this displacement is simulated and subtracted, until the current changes by less
-    than 0.3 mm/s. The uncertainty is that of least squares, and of leakage and surface tension.
+    than 0.3 mm/s. Uncertainties are from least squares, spectral leakage and the surface tension.
 
     Examples
     --------
@@ -192,7 +192,7 @@ def _between(limits: tuple[float, float]) -> str:
 
 
 def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> RelationPoints:
-    """Return `points`; CubeError with the band `limits`, rad/s, if there are fewer than six."""
+    """Return `points` unchanged. CubeError with the band `limits`, rad/s, if they are fewer than six."""
     if len(points) < MIN_POINTS:
         raise CubeError(f"no dispersion relation was found {_between(limits)}: choose a longer segment")
     return points
@@ -201,8 +201,8 @@ def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> Relation
 def _check_fit(
     spectrum: PlaneSpectrum, points: RelationPoints, fit: Array, limits: tuple[float, float]
 ) -> float:
-    """Return the `contrast` of the fitted relation; CubeError if it is too low or points are off the
-    relation. `fit` is the current (2,), m/s, and `limits` the frequency band, rad/s."""
+    """Return the `contrast` of the fitted relation. CubeError if the contrast is low or points are far from
+    the relation. `fit` is the current (2,), m/s, and `limits` the frequency band, rad/s."""
     between = _between(limits)
     best = f"{fit[0]:.2f}, {fit[1]:.2f} m/s"
     # windows spread a wave over more than a cell of the k plane: for long waves, that is not an error
@@ -236,8 +236,8 @@ def _refuse_uncertain(std: float, limits: tuple[float, float]) -> None:
 
 
 def dispersion_group(density: xr.DataArray, k: Array, depth: float, gamma: float) -> xr.Dataset:
-    """Return the Dataset of `fit_dispersion` with ``omega_theory`` (k), the relation in still water, rad/s.
-    If the fit fails, only ``omega_theory`` is returned, with the reason in the attribute ``refused``."""
+    """Return the result of `fit_dispersion`, and ``omega_theory`` (k), the frequency in still water, rad/s.
+    If the fit fails, return only ``omega_theory``, with the reason in the attribute ``refused``."""
     theory = xr.Dataset({"omega_theory": ("k", dispersion(k, depth, gamma))}, k_coords(k))
     try:
         out = fit_dispersion(density, depth, gamma=gamma)

@@ -93,8 +93,8 @@ VOTING_SECTORS = 2 * SECTORS  # finer, because single cells vote
 
 
 def scan_current(spectrum: PlaneSpectrum) -> Array:
-    """Return the current (2,), to 0.02 m/s, whose dispersion relation contains the most energy.
-    In this Hough transform, each value E(omega, k) votes for a current of (omega -+ sigma(k)) / k along k."""
+    """Return the current (2,), m/s, whose dispersion relation contains the most energy, to 0.02 m/s. In this
+    Hough transform, each value E(omega, k) votes for a current of (omega -+ sigma(k)) / k along k."""
     used = spectrum.k > MIN_CELLS_FROM_ZERO * spectrum.cell
     used &= spectrum.k < 0.9 * spectrum.k[spectrum.ky == 0].max()
     k = spectrum.k[used]
@@ -139,8 +139,8 @@ def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
 
 
 def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
-    """Return the energy near the dispersion relation over the energy of the same wave vectors away from it.
-    Both are means. White noise gives about 1. `lines` is a mask of the frequencies used."""
+    """Return the mean energy near the dispersion relation, divided by that of the same wave vectors away from
+    it. White noise gives about 1. `lines` is a mask of the frequencies used."""
     near = _near_relation(spectrum, current)[lines]
     near[:, spectrum.k < MIN_CELLS_FROM_ZERO * spectrum.cell] = False
     energy = spectrum.energy[lines]
@@ -154,7 +154,7 @@ def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
 
 
 def fraction(spectrum: PlaneSpectrum, current: Array) -> float:
-    """Return the fraction of the energy that is near the dispersion relation; NaN without energy."""
+    """Return the fraction of energy near the dispersion relation on `current`; NaN if there is no energy."""
     near = _near_relation(spectrum, current)
     total = float(spectrum.energy.sum(dtype=float))
     return float((spectrum.energy * near).sum(dtype=float)) / total if total > 0 else float("nan")
@@ -166,8 +166,8 @@ FLOOR = 1e-9  # chosen: cells with less energy, relative to the strongest, have 
 
 
 def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
-    """Return the spectrum (lines, cells) of simulated free waves, broadened by Hann windows. The energies of
-    four waves per cell are fitted to the measured energy above the noise, by deconvolution."""
+    """Return the spectrum (lines, cells) of simulated free waves, broadened by Hann windows. Each cell has
+    four waves; deconvolution fits their energies to the measured energy above the noise."""
     near, ky, kx = _near_relation(spectrum, current), *spectrum.axes
     shape = spectrum.omega.size, ky.size, kx.size
 
@@ -246,7 +246,7 @@ class RelationPoints:
 
 
 def sectors_of(spectrum: PlaneSpectrum, count: int) -> Sectors:
-    """Return the direction (rad) and the cell indices, sorted by k, of each of `count` sectors."""
+    """Return a list of `count` sectors of direction: its direction (rad) and its cells, sorted by |k|."""
     by_k = np.argsort(spectrum.k, kind="stable")
     half_width = np.pi / count
     middles = np.arange(count) * 2 * half_width
@@ -256,7 +256,7 @@ def sectors_of(spectrum: PlaneSpectrum, count: int) -> Sectors:
 
 def centroids(spectrum: PlaneSpectrum, sectors: Sectors, current: Array) -> RelationPoints:
     """Return the centroid in k of the energy above the noise, for each frequency and sector of direction.
-    A point needs five cells and more signal than noise near the relation on `current`."""
+    Those with under five cells, or less signal than noise near the relation on `current`, are left out."""
     omega, water = spectrum.omega, spectrum.water
     k_table = np.linspace(0.1, 1.2 * spectrum.k.max(), 4000)
     free = dispersion(k_table, *water)
@@ -329,9 +329,9 @@ def _strongest_sector(points: RelationPoints) -> Array:
 def window_displacement(
     spectrum: PlaneSpectrum, band: Array, sectors: Sectors, current: Array
 ) -> tuple[Array, Array]:
-    """Simulate free waves, and return by how much Hann windows displace the k of their centroids, rad/m.
-    Returned are the keys of the centroids (`RelationPoints.key`) and their displacements, both (points,), at
-    the frequencies of the mask `band`."""
+    """Simulate free waves, and return by how much Hann windows displace the centroids in k, as two arrays
+    (points,). The first holds the keys of the centroids (`RelationPoints.key`), the second their
+    displacements, rad/m. Only frequencies in the mask `band` are used."""
     free_waves = windowed_waves(spectrum, current)[band]
     simulated = replace(spectrum.on_lines(band), energy=free_waves, noise=np.zeros_like(free_waves))
     points = centroids(simulated, sectors, current)
@@ -343,8 +343,8 @@ def window_displacement(
 
 
 def undisplaced(points: RelationPoints, by: tuple[Array, Array], part: float = 1.0) -> RelationPoints:
-    """Return points whose k is corrected by the fraction `part` of the displacement by Hann windows.
-    `by` is a result of `window_displacement`. Points with no entry there are left out."""
+    """Return `points` with k corrected by the fraction `part` of the displacement due to Hann windows. `by`
+    is a result of `window_displacement`. Points whose key is not in `by` are left out."""
     _, measured, simulated = np.intersect1d(points.key, by[0], assume_unique=True, return_indices=True)
     points, displacement = points[measured], by[1][simulated]
     k_std = np.hypot(points.k_std, LEAKAGE_ERROR * displacement)

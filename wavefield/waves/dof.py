@@ -41,8 +41,9 @@ def hann_correlation(lines: int) -> Array:
 
 
 def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
-    """Return the degrees of freedom (n,) of sums over parts of powers with squared correlations `overlap`,
-    rho2: (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)], for `power` P, `dof` nu (parts, n)."""
+    """Return the degrees of freedom (n,) of sums over the first axis of `power` P (parts, n), which has `dof`
+    nu (parts, n): (sum_i P_i)^2 / sum_ij [rho2_ij P_i P_j / sqrt(nu_i nu_j)]. rho2 is the matrix `overlap` of
+    squared correlations between parts, scaled to a diagonal of 1."""
     size = np.sqrt(np.maximum(np.diag(overlap), 1e-300))
     share = power / np.sqrt(dof)
     variance = np.einsum("in,in->n", share, (overlap / np.outer(size, size)) @ share)
@@ -51,7 +52,7 @@ def sum_freedom(power: Array, dof: Array, overlap: Array) -> Array:
 
 
 def with_interval(energy: xr.DataArray, dof: xr.DataArray) -> xr.Dataset:
-    """Return a Dataset of the spectrum ``E``, its ``dof`` and its 95 % interval ``low``, ``high``."""
+    """Return a Dataset of ``E``, its ``dof`` and factors ``low``, ``high`` from E to its 95 % interval."""
     dof = dof.clip(min=1)
     low, high = (dof.copy(data=limit) for limit in interval(dof.values))
     return annotate(xr.Dataset({"E": energy, "dof": dof, "low": low, "high": high}))
@@ -61,8 +62,9 @@ ROUNDS = 4  # of deconvolution; tuned on random seas: with one, intervals of E(o
 
 
 def expected_segment_correlation(power: Array, count: int) -> Array:
-    """Return the variance of a mean over `count` half-overlapping segments over that for independent ones.
-    Like the spectrum `power`, it is (n, lines). Peaks narrower than the frequency step raise it."""
+    """Return the factor (n, lines) by which correlation of `count` half-overlapping segments raises the
+    variance of their mean. Peaks of the spectrum `power` (n, lines) below the frequency step in width raise
+    it."""
     lines = np.arange(power.shape[1])
     between = 2  # frequencies of the sharpened spectrum per line, so that a peak may lie between lines
     fine = np.arange(between * (lines.size - 1) + 1) / between
@@ -101,8 +103,8 @@ def hann_autocorrelation(lag: Array) -> Array:
 
 
 def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence[float], count: int) -> Array:
-    """Return the variance of a mean over `count` segments over that for independent ones, for wave packets.
-    It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K segments of `duration` T, s. c is the
+    """Return the factor by which correlation raises the variance of a mean over `count` segments, for wave
+    packets. It is 1 + 2 sum_n (1 - n / K) c(n T / 2)^2 / c(0)^2 for K segments of `duration` T, s. c is the
     autocorrelation of Hann windows in time and over `lengths` (x, y), m, at packet `velocity` (x, y), m/s."""
     s = np.linspace(-1, 1, 41)  # more points change nothing
     in_time = hann_autocorrelation(s)
@@ -135,15 +137,15 @@ def crossing_correlation(welch: Welch) -> Array:
 
 
 def wave_share(power: Array) -> Array:
-    """Return the fraction of each value of `power` (rings, lines) that is not white noise."""
+    """Return the fraction of each value of `power` (rings of |k|, frequencies) that is not white noise."""
     first = int(0.75 * (power.shape[1] - 1))  # above 3/4 of the Nyquist frequency, most power is noise
     noise = power[:, first:-1].mean(axis=1, keepdims=True) if first < power.shape[1] - 1 else 0.0
     return np.asarray(1 - np.minimum(noise / np.maximum(power, 1e-300), 1.0))
 
 
 def keep_points(sums: dict[str, Array], name: str, first: Array, second: Array, begin: int) -> None:
-    """Store the Fourier transforms (nodes, frequencies) of a segment at some nodes in `sums`. `first` and
-    `second` are its halves (nodes, steps). The key contains `name` and its first step, `begin`."""
+    """Store in `sums` the Fourier transforms (nodes, frequencies) of a segment at a few nodes. `first` and
+    `second` are its halves (nodes, steps). The key names the quantity `name` and the first step `begin`."""
     series = np.concatenate([first, second], axis=1)
     series = (series - series.mean(axis=1, keepdims=True)) * hann(series.shape[1])
     sums[f"points {name} from {begin:012d}"] = fft.rfft(series, axis=1).astype(np.complex64)
@@ -151,8 +153,8 @@ def keep_points(sums: dict[str, Array], name: str, first: Array, second: Array, 
 
 def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) -> Array:
     """Return the number of independent segments at each frequency, (n,), from transforms (segments, nodes,
-    n). It is K / (1 + 2 sum_L (1 - L / K) |r_L|^2) for K segments, with the correlation r_L of segments whose
-    numbers `place` differ by L. `modes` (n,) independent nodes set the bias of |r_L|^2."""
+    n). It is K / (1 + 2 sum_L (1 - L / K) |r_L|^2) for K segments; r_L is the correlation of segments whose
+    numbers `place` differ by L. `modes` (n,) independent nodes determine a correction of the bias."""
     count, size = len(lines), int(place[-1]) + 1
     padded = np.zeros((2 * size, *lines.shape[1:]), complex)
     padded[place] = lines
@@ -168,8 +170,8 @@ def independent_segments(lines: Array, place: NDArray[np.intp], modes: Array) ->
 
 
 def independent_nodes(lines: Array, number: Array) -> Array:
-    """Return the number of independent waves at each frequency, (n,): (tr C)^2 / |C|^2, corrected for bias.
-    C is the covariance of nodes in `lines` (segments, nodes, n), with `number` (n,) independent segments."""
+    """Return the number of independent waves at each frequency, (n,): (tr C)^2 / |C|^2, corrected for bias. C
+    is the covariance of nodes in `lines` (segments, nodes, n); `number` (n,) counts independent segments."""
     total = (np.abs(lines) ** 2).sum(axis=(0, 1))
     covariance = np.einsum("spn,sqn->npq", lines.conj(), lines, optimize=True)
     rank = total**2 / np.maximum((np.abs(covariance) ** 2).sum(axis=(1, 2)), 1e-300)
@@ -179,15 +181,15 @@ def independent_nodes(lines: Array, number: Array) -> Array:
 
 
 def of_products(dof: Mapping[str, Array], power: Array, dof_omega: Array) -> dict[str, Array]:
-    """Return degrees of freedom of spectra of nl = u . grad z, lower than a first estimate `dof`, by axis.
-    nl is quadratic in waves, whose spectrum `power` has `dof_omega` degrees of freedom, both (lines,)."""
+    """Return degrees of freedom of spectra of nl = u . grad z, with the keys of `dof`, a first estimate that
+    is too high. The spectrum `power` (lines,) of the waves has `dof_omega` (lines,) degrees of freedom."""
     total = sum_freedom(power[:, None], dof_omega[:, None], hann_correlation(power.size))
     return {axes: (1 / (1 / own + 4 / total)).clip(1, None) for axes, own in dof.items()}
 
 
 def ring_freedom(sums: Mapping[str, Any], name: str, welch: Welch) -> dict[str, Array]:
-    """Return the degrees of freedom of E(k, omega), E(omega) and E(k), under "both", "omega" and "k".
-    They are at most 2 n m for n independent segments and m independent waves, estimated at 16 nodes."""
+    """Return the degrees of freedom of E(k, omega), key "both", of E(omega), key "omega", and of E(k), key
+    "k". They are at most 2 n m for n independent segments and m independent waves, estimated at 16 nodes."""
     power, cells = sums[name][0], welch.freedom(sums[name])
     independent = cells * overlap_factor(welch.count)
     correlation, of_sums = correlation_of(power, welch)
@@ -222,8 +224,8 @@ def dof_of_all_nodes(dof: Array, welch: Welch) -> Array:
 def independent_samples(
     sums: Mapping[str, Any], first: str, second: str, dof_k: tuple[Array, Array], welch: Welch
 ) -> dict[str, Array]:
-    """Return the number N of independent samples of a cross spectrum ("both") and of its sum over omega
-    ("k"). For unrelated fields `first`, `second`: <|S_ab|^2> = E_a E_b / N. `dof_k` is for their E(k)."""
+    """Return the number N of independent samples of a cross spectrum, key "both", and of its sum over omega,
+    key "k". For unrelated fields `first`, `second`: <|S_ab|^2> = E_a E_b / N. `dof_k` is for their E(k)."""
     product = sums[first][0] * sums[second][0]
     power, there = np.sqrt(product), product > 0
     real, imaginary = sums[f"{first}*{second}"]
@@ -249,7 +251,7 @@ def independent_samples(
 
 
 def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
-    """Return the degrees of freedom of sums of `power` over k, under "omega", and over omega, under "k".
+    """Return the degrees of freedom of sums of `power` over k, key "omega", and of sums over omega, key "k".
     `power` and its degrees of freedom `dof` are (rings, lines)."""
     overlap, own = welch.table.overlap, np.sqrt(np.diag(welch.table.overlap).clip(1e-300))
     return {
