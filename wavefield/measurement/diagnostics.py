@@ -1,4 +1,4 @@
-"""Agreement of the cameras in a single step: differences between pairs of cameras, as accuracy measures."""
+"""Compare the cameras in one step: the results of different pairs of cameras should agree."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MAX_TRIED_STEPS = 12  # steps that are tried, nearest first, if frames are missi
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Differences between cameras and pairs of cameras in one step; NaN where not measured."""
+    """Errors, elevations and displacements of each pair of cameras in one step; NaN where not measured."""
 
     # (ny, nx): elevation at the first frame from each pair alone, metres; pairs are those of the geometry,
     # which contain the reference, and the direct pairs of the other cameras
@@ -49,8 +49,8 @@ class Diagnosis:
     widths: dict[str, float]  # width of the beads in the images of every camera, px; 0 for a texture
 
     def errors(self) -> Iterator[tuple[str, str, str, NDArray[Any]]]:
-        """Yield every error between cameras: quantity ("eps_y"), cameras, unit ("m", "pixel") and values.
-        The values have any shape, NaN where not measured."""
+        """Yield each error between cameras as a tuple (quantity, cameras, unit, values).
+        An example is ("eps_y", "cam1-cam2", "m", array). The array is NaN where not measured."""
         for pair, values in self.eps_y.items():
             yield "eps_y", "-".join(pair), "m", values
             yield "sigma_z", "-".join(pair), "m", np.array([self.z_std[pair]])
@@ -66,8 +66,8 @@ class Diagnosis:
 
 
 def rms_within(values: NDArray[Any]) -> tuple[float, float]:
-    """Return the rms of the values without outliers, and the fraction of outliers; only finite values count.
-    Outliers are values larger than three times the rms of all values."""
+    """Return a tuple: the rms of the values that are not outliers, and the fraction that are outliers.
+    Outliers exceed three times the rms of all values. NaN and infinite values are ignored."""
     values = values[np.isfinite(values)]
     if values.size == 0:
         return float("nan"), 0.0
@@ -82,11 +82,11 @@ def diagnose(
     model: Model | None = None,
     masks: Frames | None = None,
 ) -> Diagnosis:
-    """Compare elevation and motion between the pairs of cameras, in one step.
+    """Compare the elevations and displacements that different pairs of cameras measure in one step.
 
-    `frames` are the first and second frame of each camera, `masks` True on pixels to ignore. `model` is
-    learned from these frames if None. ValueError if a frame is missing or unusable, if nothing can be
-    matched, or for a light sheet.
+    `frames` holds the first and second frame of each camera; `masks`, True on pixels to ignore, has the same
+    form. A `model` of None is learned from these frames. ValueError if a frame is missing or unusable, if
+    nothing can be matched, or for a light sheet.
     """
     if geometry.z_is_known:
         raise ValueError("cameras of a light sheet are not matched with each other: no pairs to compare")
@@ -128,7 +128,7 @@ def diagnose(
 def _learned(
     frames: Frames, geometry: GridGeometry, model: Model | None, masks: Frames
 ) -> tuple[GridGeometry, Model, Images, Images]:
-    """Return the geometry, the model, and the prepared images of the first and of the second frame.
+    """Return a tuple: geometry, model, prepared images of the first frames, and of the second frames.
     If `model` is None, it is learned from these frames. ValueError if that fails or a frame is not usable."""
     instants = [{n: frames[n][k] for n in frames} for k in (0, 1)]
     covered = [{n: masks[n][k] for n in masks} for k in (0, 1)]
@@ -148,8 +148,8 @@ def _learned(
 
 
 def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
-    """Return the match between the second cameras of two pairs, which have the same first camera.
-    Displacement and parallax are those of pair `one` minus those of pair `other`."""
+    """Return the match from camera a to camera b, as match c-b (`one`) minus match c-a (`other`).
+    Camera c belongs to each pair; displacements and parallaxes are subtracted."""
     d, parallax = one.difference - other.difference, one.parallax - other.parallax
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / np.hypot(*parallax)
     rejected, matched = one.rejected | other.rejected, one.matched & other.matched
@@ -163,10 +163,10 @@ def _moved(
     geometry: GridGeometry,
     model: Model,
 ) -> tuple[dict[Pair, NDArray[Any]], dict[tuple[str, ...], NDArray[Any]], list[float]]:
-    """Return displacements, m, and misfits, px, by pair, and median standard uncertainties of dx, dy, dz, m.
-    The first two are the fields `moved` and `eps_piv` of `Diagnosis`.
-    `views` are the images of both frames, `middle` (ny, nx) the elevation half-way between them, metres;
-    `pairs` are the pairs of cameras."""
+    """Return a tuple: displacements by pair, misfits by group of cameras, and three standard uncertainties.
+    The first two are `moved` (m) and `eps_piv` (px) of `Diagnosis`; the last is a list, the medians for dx,
+    dy, dz, m. `views` are the images of the first and second frames; `middle` (ny, nx) is the mean elevation
+    of these frames, metres."""
     moved: dict[Pair, NDArray[Any]] = {}
     eps_piv: dict[tuple[str, ...], NDArray[Any]] = {}
     moves = flows(views[0].in_time(), views[1].in_time(), geometry.settings.piv, model)
@@ -194,7 +194,7 @@ def diagnose_around(
     model: Model | None,
     middle: int,
 ) -> Diagnosis | None:
-    """Compare the cameras (`diagnose`) in the step nearest to number `middle` in which that is possible.
+    """Run `diagnose` in the step nearest to step number `middle` in which it succeeds.
     `read(camera, frame)` gives an image or None. Returns None if the MAX_TRIED_STEPS nearest steps fail."""
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:MAX_TRIED_STEPS]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}

@@ -1,4 +1,4 @@
-"""The MAP (most probable) displacement of one camera's image from one frame to the next."""
+"""Estimate the most probable (MAP) displacement of one camera's image from one frame to the next."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STILL_WATER_VARIANCE = 8e-4  # px^2: lower bound of the variance in the sample s
 
 @dataclass(frozen=True)
 class CameraFlow:
-    """One camera's displacement from one frame to the next, interpolated between blocks, with variances."""
+    """Displacement of one camera's image from one frame to the next, as a spline with variances."""
 
     spline: Float  # (ny, nx, 2): spline coefficients on the lattice of blocks, px of the binned image
     noise: Float  # (1 or 2, ny, nx): variance due to noise, px^2, common to both components or of each
@@ -49,7 +49,7 @@ Flows = Mapping[str, CameraFlow]
 
 @dataclass
 class FlowEstimate:
-    """Most probable (MAP) displacement between two frames: cosine series + smooth part + second harmonic."""
+    """Most probable (MAP) displacement between two frames: cosine series + smooth field + second harmonic."""
 
     waves: Float  # (2, my, mx): cosine coefficients, px
     edges: Float = field(repr=False)  # (2, ny, nx): smooth part (`Modes.split`), px
@@ -60,18 +60,18 @@ class FlowEstimate:
 
     @property
     def information(self) -> Float:
-        """Mean of the inverse variances of u and of v of each block, (ny, nx), px^-2."""
+        """Inverse variance of the displacement of each block, averaged over u and v, (ny, nx), px^-2."""
         return np.asarray(np.float32(0.5) * (self.each[0] + self.each[1]))
 
 
 def filled(found: matching.Displacement) -> Float:
-    """Return u and v of a match, (2, ny, nx), px, with averages of the blocks around in invalid blocks."""
+    """Return u and v of a match, (2, ny, nx), px; invalid blocks get averages of the blocks around them."""
     return push_pull(np.stack([found.u, found.v]), found.valid)
 
 
 def harmonics(midway: Float) -> Float:
-    """Return the displacement at start points minus that at midpoints, (D . grad) D / 2, (2, ny, nx), px.
-    D = `midway` (2, ny, nx), px, is the displacement at midpoints. The mean of the factor D before grad is
+    """Return displacements at start points minus those at midpoints, (D . grad) D / 2, (2, ny, nx), px.
+    D = `midway` (2, ny, nx), px, are displacements at their midpoints. The mean of the D before grad is
     subtracted, because a uniform displacement only shifts waves."""
     x, y = midway
     xx, xy, yx, yy = slopes_of(x, y)
@@ -86,8 +86,9 @@ def map_displacement(
     modes: Modes,
     with_harmonics: bool = False,
 ) -> FlowEstimate:
-    """Estimate the most probable displacement (MAP) from image `one` to `other`, starting from their match.
-    `with_harmonics` corrects it by `harmonics`; while spectra are learned, fields are too noisy for that."""
+    """Estimate the most probable (MAP) displacement from image `one` to image `other`, starting from `match`.
+    `with_harmonics` adds the correction `harmonics`; fields are too noisy for it while spectra are
+    learned."""
     found = match
     u = filled(match)
     edges, waves = modes.split(u)
@@ -131,7 +132,7 @@ def flows(
     settings: matching.MatchSettings,
     model: Model,
 ) -> dict[str, CameraFlow]:
-    """Return, by camera, the most probable displacement (MAP) between the first and the second image.
+    """Return, by camera, the most probable (MAP) displacement from its first to its second image.
     Cameras without one of the images are left out. All blocks of a camera are rejected as out of range if its
     image moves far more than in the sample steps from which `model` was learned."""
     out, learned = {}, dict(model.record.motion)
@@ -149,13 +150,13 @@ def flows(
 
 
 def motion_variance(found: matching.Displacement) -> float:
-    """Return the variance of u plus that of v over the valid blocks, px^2; 0 if no block is valid."""
+    """Return the sum of the variances of u and v over valid blocks, px^2; 0 if no block is valid."""
     valid = found.valid
     return float(np.var(found.u[valid]) + np.var(found.v[valid])) if valid.any() else 0.0
 
 
 def camera_flow(found: FlowEstimate, model: FieldModel) -> CameraFlow:
-    """Return the estimate `found` as spline coefficients, for interpolation, with its variances."""
+    """Convert the estimate `found` to spline coefficients, for interpolation, and add its variances."""
     noise, missing = model.spread(found.information)
     spline = model.splined(found.waves, found.edges + found.harmonics)
     return CameraFlow(spline, noise, missing, why_rejected(found.found.reason))

@@ -1,4 +1,4 @@
-"""Elevation at one instant: match the pairs of cameras, estimate the MAP field, read it at the nodes."""
+"""Elevation in one frame: match pairs of cameras, estimate the most probable (MAP) field, read the nodes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _WINDOW_REACH = np.ones((5, 5), np.uint8)  # blocks that share the window of one
 
 @dataclass(frozen=True)
 class PairMatch:
-    """Displacement between the rectified images of one pair of cameras, on the lattice of blocks."""
+    """Displacement between the rectified images of two cameras (a pair), for each block of the lattice."""
 
     pair: tuple[str, str]  # the cameras (a, b); the lattice is in apparent positions of a
     difference: Float  # (2, ny, nx): d = x_b - x_a, difference of the apparent positions, metres
@@ -54,35 +54,35 @@ class PairMatch:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Mask (ny, nx), True for valid blocks."""
+        """Mask (ny, nx), True for blocks whose match was not rejected."""
         return np.asarray(self.rejected == 0)
 
     @property
     def height(self) -> Float:
-        """Elevation z = -dD . d / |dD|^2, (ny, nx), metres, from the difference d and the parallax dD."""
+        """Elevation z = -dD . d / |dD|^2, (ny, nx), metres, with d = `difference`, dD = `parallax`."""
         out: Float = -np.sum(self.parallax * self.difference, axis=0)
         out /= np.sum(np.square(self.parallax), axis=0)
         return out
 
     @property
     def turned(self) -> PairMatch:
-        """The match with parallaxes turned by 90 degrees: its `height` is the epipolar error over |dD|, m."""
+        """This match with parallaxes turned by 90 degrees: its `height` is epipolar error / |dD|, m."""
         return replace(self, parallax=quarter_turn(self.parallax))
 
 
 def quarter_turn(vector: Float) -> Float:
-    """Return vectors (2, ny, nx), with components x and y, turned by 90 degrees from x towards y."""
+    """Return vectors, x and y components (2, ny, nx), turned by 90 degrees from the x to the y axis."""
     return np.stack([-vector[1], vector[0]])
 
 
 def match_pair(
     a: matching.PreparedImage, b: matching.PreparedImage, pair: tuple[str, str], geometry: GridGeometry
 ) -> PairMatch:
-    """Match the rectified images a, b of the cameras `pair`; reject blocks with implausible z or eps_Y.
+    """Match the rectified images a, b of two cameras; reject blocks with implausible z or epipolar error.
 
-    A point at the elevation z appears at x_a and x_b, where the sight lines have the slopes D_a and D_b. The
-    differences d = x_b - x_a and dD = D_b - D_a give z = -(dD . d) / |dD|^2 and the epipolar error eps_Y =
-    (dD_y d_x - dD_x d_y) / |dD|.
+    A point at elevation z appears on the plane z = 0 at x_a and x_b; its sight lines have the slopes D_a and
+    D_b. With d = x_b - x_a and dD = D_b - D_a, z = -(dD . d) / |dD|^2; the epipolar error is eps_Y = (dD_y
+    d_x - dD_x d_y) / |dD|.
     """
     found = matching.match(a, b, geometry.stereo_settings(pair))
     d = np.stack([found.u, found.v]) * np.float32(geometry.pixel)
@@ -103,13 +103,13 @@ def match_pair(
 
 
 def _sight_line(centre: Float, x: Float, y: Float) -> Float:
-    """Return the slopes dx/dz, dy/dz of sight lines from a camera's centre to x, y on z = 0, (2, ny, nx)."""
+    """Return the slopes dx/dz, dy/dz of the lines from a camera's `centre` to x, y on z = 0, (2, ny, nx)."""
     depth = np.float32(-centre[2])
     return np.stack([(x - np.float32(centre[0])) / depth, (y - np.float32(centre[1])) / depth])
 
 
 def why_rejected(reason: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Return why blocks were rejected, (ny, nx), as bits of `Quality`, from bits of `Reason` in matching."""
+    """Convert the `Reason` bits (from matching) of rejected blocks to bits of `Quality`, (ny, nx)."""
     out = np.zeros(reason.shape, np.uint16)
     known = int(Reason.NEIGHBOURS | Reason.RANGE)
     for bits, flag in (
@@ -123,7 +123,7 @@ def why_rejected(reason: NDArray[np.uint8]) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True)
 class Blocks:
-    """Elevation of each block by least squares over the pairs of cameras, before any use of a spectrum."""
+    """Elevation of each block by least squares over the pairs of cameras, without a prior."""
 
     z: Float  # (ny, nx): elevation, metres; NaN where no pair is valid
     eps_y: Float  # (ny, nx): epipolar error, metres; NaN where no pair is valid
@@ -132,13 +132,13 @@ class Blocks:
 
     @property
     def filled(self) -> Float:
-        """Elevation, (1, ny, nx), metres, with averages of the blocks around in holes."""
+        """Elevation, (1, ny, nx), metres; blocks without a value get averages of blocks nearby."""
         return push_pull(self.z[None], self.valid)
 
 
 def combine(matches: Sequence[PairMatch]) -> Blocks:
-    """Return the elevation of each block, by least squares over the pairs that are valid there.
-    With difference d and parallax dD of a pair (`match_pair`): z = -sum dD . d / sum |dD|^2."""
+    """Return the elevation of each block, by least squares over the pairs that have a valid match there.
+    It is z = -sum dD . d / sum |dD|^2, with displacement d and parallax dD of each pair (`match_pair`)."""
     shape = matches[0].eps_y.shape
     along, across, square, length = np.zeros((4, *shape), np.float32)
     rejected = np.zeros(shape, np.uint16)
@@ -160,7 +160,7 @@ def combine(matches: Sequence[PairMatch]) -> Blocks:
 
 @dataclass
 class ElevationEstimate:
-    """Most probable (MAP) elevation at one instant: a series of cosines plus a smooth field, `edges`."""
+    """Most probable (MAP) elevation in one frame: a cosine series, `waves`, plus a smooth field, `edges`."""
 
     waves: Float  # (1, my, mx): cosine coefficients, metres
     edges: Float = field(repr=False)  # (1, ny, nx): smooth part (`Modes.split`), metres
@@ -181,10 +181,11 @@ def map_elevation(
     whole_beads: bool,
     noise_across: bool = True,
 ) -> ElevationEstimate:
-    """Estimate the most probable elevation (MAP) from the matches of all pairs; `blocks` is from `combine`.
-    With parallax dD, px per m, the score s and Hessian H of a block give -dD . s and dD H dD for z. The noise
-    is measured across the sight lines, or, if not `noise_across`, from the scores for z. `pixel` is the side
-    of a rectified pixel, m. With `whole_beads`, a bead counts in one block only (`scores_at`)."""
+    """Estimate the most probable (MAP) elevation from the matches of all pairs; `blocks` is from `combine`.
+    A block has, for z, the score -dD . s and Hessian dD H dD, from the score s (gradient times residual) and
+    Hessian H of its displacement and the parallax dD, px per m. Noise is measured across the sight lines, or,
+    if not `noise_across`, from scores for z. `pixel` is the side of a rectified pixel, m. With `whole_beads`,
+    a bead counts in one block only."""
     z = blocks.filled
     edges, waves = modes.split(z)
     pairs = [_PairScores(m, pixel) for m in matches]
@@ -218,7 +219,7 @@ def map_elevation(
 
 
 def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float) -> float:
-    """Return the mean inverse variance of z, m^-2, over blocks with information, before a MAP estimate."""
+    """Return the mean inverse variance of z, m^-2, of blocks that contain information, without a prior."""
     pairs = [_PairScores(m, pixel) for m in matches]
     z = blocks.filled[0]
     hessian = np.sum([one.hessian for one in pairs], axis=0)
@@ -228,20 +229,21 @@ def first_information(blocks: Blocks, matches: Sequence[PairMatch], pixel: float
 
 
 def _noise(score: Float, hessian: Float, freedom: float) -> Float:
-    """Return the variance of scores for z (gradient times residual) per unit of their Hessian, (ny, nx)."""
+    """Return the variance of scores (gradient times residual) divided by their Hessian, (ny, nx)."""
     return noise_of_scores(score[None], hessian, (hessian > 0).astype(np.float32), freedom)
 
 
 def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
-    """Return the variance of scores across the sight lines per unit of their Hessian, times NOISE_MARGIN.
-    `smooth` (ny, nx), the error across them that comes from the calibration, is subtracted first."""
+    """Return NOISE_MARGIN times the result of `_noise` for scores across the sight lines, (ny, nx).
+    `smooth` (ny, nx), metres, the smooth epipolar error due to calibration, is subtracted first."""
     parts = [one.across(smooth) for one in pairs]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     return np.float32(NOISE_MARGIN) * _noise(score, hessian, 1.0)
 
 
 def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:
-    """Return the smooth part (ny, nx) of the epipolar error, as metres of z, and its rms without noise."""
+    """Return a tuple: the smooth part of the epipolar error, (ny, nx), as metres of z, and its rms, metres.
+    The rms is without noise; the prior damps it as it would damp an error of z."""
     waves = modes.waves(combine([m.turned for m in matches]).filled)
     smooth = np.zeros_like(waves)
     smooth[:, :_SMOOTH_MODES, :_SMOOTH_MODES] = waves[:, :_SMOOTH_MODES, :_SMOOTH_MODES]
@@ -256,7 +258,7 @@ def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, f
 
 
 class _PairScores:
-    """Scores (gradient times residual) and Hessians of a pair of cameras for z; `pixel` is in metres."""
+    """Scores (gradient times residual) of one pair of cameras and their Hessians, with respect to z."""
 
     def __init__(self, match: PairMatch, pixel: float) -> None:
         self.match, self.found = match, match.found
@@ -265,12 +267,12 @@ class _PairScores:
         self._weigh()
 
     def _weigh(self) -> None:
-        """Compute the Hessian dD H dD of each valid block for the elevation, (ny, nx)."""
+        """Store the Hessian dD H dD of each block with respect to z, (ny, nx); 0 in invalid blocks."""
         self._hessian = self.found.hessian * self.match.valid
         self.hessian = _through(self.D, self._hessian)
 
     def reevaluate(self, z: Float, prepared: PreparedImages, whole_beads: bool) -> None:
-        """Compute scores and Hessians again at the elevation z (ny, nx), metres, and keep them.
+        """Compute scores and Hessians again for images shifted according to the elevation z (ny, nx), metres.
         With `whole_beads`, a bead counts in one block only (`scores_at`)."""
         rise = z - self._height
         a, b = (prepared[name] for name in self.match.pair)
@@ -280,12 +282,13 @@ class _PairScores:
         self._weigh()
 
     def score(self, z: Float) -> Float:
-        """Return the scores at z (ny, nx), metres, extrapolated from the elevation of the last evaluation."""
+        """Return the scores at z (ny, nx), metres, extrapolated linearly from the last evaluation."""
         return self._score(self.D, self.hessian, self.here - z)
 
     def across(self, smooth: Float) -> tuple[Float, Float]:
-        """Return scores and Hessians (ny, nx) for displacements across the sight lines, as metres of z.
-        No elevation causes such displacements. The part `smooth` (ny, nx), metres, is subtracted."""
+        """Return a tuple: scores and Hessians, each (ny, nx), of displacements across the sight lines.
+        They are in metres of z, although z does not cause such displacements. `smooth` (ny, nx), m, is
+        subtracted."""
         D = quarter_turn(self.D)
         hessian = _through(D, self._hessian)
         return self._score(D, hessian, self.match.turned.height - smooth), hessian
@@ -296,13 +299,13 @@ class _PairScores:
 
 
 def _through(D: Float, h: Float) -> Float:
-    """Return D h D, (ny, nx), for vectors D (2, ny, nx) and symmetric matrices h (3, ny, nx): xx, xy, yy."""
+    """Return D . h D, (ny, nx), for vectors D (2, ny, nx) and symmetric h (3, ny, nx): xx, xy, yy."""
     return np.asarray(D[0] ** 2 * h[0] + 2 * D[0] * D[1] * h[1] + D[1] ** 2 * h[2])
 
 
 def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
-    """Return a mask (ny, nx) of blocks where successive pairs, each alone, give z that differ by over 1.5 px.
-    This finds errors larger than a bead, which the scores do not show. `pixel` is in metres."""
+    """Return a mask (ny, nx), True where one pair and the next in `matches` differ in z by over 1.5 px.
+    This finds errors larger than a bead, which scores do not show. `pixel` is the side of a pixel, metres."""
     out = np.zeros(matches[0].eps_y.shape, bool)
     for one, other in pairwise(matches):
         lengths = (np.sqrt(np.sum(np.square(m.parallax), axis=0)) for m in (one, other))
@@ -315,9 +318,9 @@ def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
 
 
 def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
-    """Return a mask (ny, nx) of blocks where successive pairs would correct the common z differently.
-    This finds shifts of one pixel. Scores (gradient times residual) and Hessians are for z; `lengths` (ny,
-    nx) are parallaxes, px/m."""
+    """Return a mask (ny, nx), True where one pair and the next one would correct their common z differently.
+    This finds shifts of one pixel. `scores` (gradient times residual) and `hessians` are with respect to z;
+    `lengths` (ny, nx) are those of the parallaxes, px/m."""
     means = [
         (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
         for s, h in zip(scores, hessians, strict=True)
@@ -335,7 +338,7 @@ def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], leng
 
 
 def widened(where: Mask) -> Mask:
-    """Return the mask (ny, nx), its True areas extended by two blocks, the reach of a window."""
+    """Extend the True areas of a mask (ny, nx) by two blocks, as far as a matching window reaches."""
     return np.asarray(cv2.dilate(where.view(np.uint8), _WINDOW_REACH) > 0)
 
 
@@ -344,7 +347,7 @@ MatchedPairs = tuple[Blocks, list[PairMatch]]
 
 @dataclass(frozen=True)
 class Surface:
-    """Elevation at one instant, at the nodes of the grid, with variances and flags."""
+    """Elevation in one frame, at the nodes of the grid, with variances and quality flags."""
 
     z: Float  # (ny, nx): elevation, metres
     eps_y: Float  # (ny, nx): epipolar error, metres
@@ -360,7 +363,7 @@ class Surface:
 
 
 def surface(prepared: PreparedImages, geometry: GridGeometry, model: FieldModel) -> Surface | None:
-    """Measure z at the nodes from rectified images; a light sheet has z = 0. None if too few blocks match."""
+    """Measure z at the nodes from rectified images; None if too few blocks match. A light sheet has z = 0."""
     if geometry.settings.sheet_thickness is not None:
         return _sheet(geometry.grid.shape, geometry.settings.sheet_thickness)
     found = match_pairs(prepared, geometry)
@@ -374,7 +377,7 @@ def surface_of(
     geometry: GridGeometry,
     model: FieldModel,
 ) -> Surface:
-    """Estimate the elevation at the nodes from the two results of `match_pairs`, `blocks` and `matches`."""
+    """Estimate the elevation at the nodes; `blocks` and `matches` are the two results of `match_pairs`."""
     estimate = map_elevation(blocks, matches, prepared, model.modes, geometry.pixel, model.whole_beads)
     spline = model.splined(estimate.waves, estimate.edges)
     (noise,), (missing,) = model.spread(estimate.information)
@@ -409,8 +412,8 @@ def surface_of(
 
 
 def _sheet(shape: tuple[int, int], thickness: float) -> Surface:
-    """Return the surface for a light sheet: z = 0 at all nodes (ny, nx), measured.
-    The `thickness`, m, counts as four standard deviations of z."""
+    """Return the surface for a light sheet: all nodes (ny, nx) have z = 0 and count as measured.
+    The standard deviation of z is taken as a quarter of the `thickness`, metres."""
     z = np.zeros(shape, np.float32)
     quality, inconsistent = np.full(shape, Quality.MEASURED, np.uint16), np.zeros(shape, bool)
     unknown = np.full_like(z, np.nan)
@@ -428,8 +431,8 @@ def _sheet(shape: tuple[int, int], thickness: float) -> Surface:
 
 
 def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPairs | None:
-    """Match the images of all pairs at one instant; None if too few blocks match.
-    The reference's image may be blank: the match is then repeated without this camera, if two are left."""
+    """Match the images of all pairs in one frame; return the combined blocks and the matches of the pairs.
+    None if too few blocks match, even without the reference camera, whose image may be blank."""
     present = tuple(prepared)
     while pairs := geometry.pairs_for(present):
         reference = pairs[0][0]
@@ -445,7 +448,7 @@ def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPair
 
 
 def windowed(matches: Sequence[PairMatch], geometry: GridGeometry) -> Float:
-    """Return z at the nodes, (ny, nx), m, from matches alone, without a prior; NaN where none is valid."""
+    """Return z at the nodes, (ny, nx), m, from matches alone, without a prior; NaN where no pair is valid."""
     blocks = combine(matches)
     if not blocks.valid.any():
         return np.full(geometry.grid.shape, np.nan, np.float32)
@@ -461,10 +464,10 @@ def matched_pixels(
     geometry: GridGeometry,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Match points of still water in all cameras, to level a rig; return their pixels (n, 2) by camera.
-    Pixels are (column, row). Point n is the same in all cameras, NaN where the pair of the camera does not
-    match. `read(camera, frame)` gives an image or None. CalibrationError if no frame is usable in all
-    cameras."""
+    """Match points of still water in all cameras, to level a rig; return (column, row), (n, 2), by camera.
+    Row n of each array is the same point, NaN if not matched in this camera. `read(camera, frame)` gives an
+    image or None; `progress(done, total)` is called after each frame. CalibrationError if no frame is usable
+    in all cameras."""
     rig = geometry.rig
     cells = np.s_[::CLUSTER, ::CLUSTER]  # closer blocks share beads
     x, y = (v[cells] for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))
