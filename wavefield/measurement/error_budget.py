@@ -60,7 +60,8 @@ SEEN_BY_BLOCKS = 0.11
 
 
 class WaveRings(NamedTuple):
-    """Waves of a record in rings (bins of wavenumber), from its learned spectrum; each field is (rings,)."""
+    """Variance of a record's waves in rings (bins of wavenumber), from its learned spectrum, each
+    (rings,)."""
 
     k: Float  # rad/m
     variance: Float  # of z, m^2
@@ -74,8 +75,8 @@ def error_budget(
     frame_rate: float,
     times: Float,
 ) -> dict[str, Float]:
-    """Return the variances (4, ny, nx), m^2, of z, dx, dy, dz (displacement per step), by name of the term.
-    `times` (6,) are those of the frames, in frame intervals from mid-time; `frame_rate` is in Hz."""
+    """Return the variances (4, ny, nx), m^2, of z, dx, dy, dz (displacement per step), by name of the error.
+    `times` (6,) of the six frames are in frame intervals from mid-time (half-way); `frame_rate` is in Hz."""
     waves = detected_waves(record.elevation, geometry.pixel, frame_rate)
     return {
         "noise": noise(estimate),
@@ -87,8 +88,8 @@ def error_budget(
 
 
 def noise(estimate: StepEstimate) -> Float:
-    """Return the variance from image noise, (4, ny, nx), m^2: the noise part of the posterior variance.
-    If N cameras disagree by more (chi^2 > 1), velocities get the factor (1 + (2N - 3) chi^2) / (2N - 2)."""
+    """Return the noise part of the posterior variance of z, dx, dy, dz, (4, ny, nx), m^2.
+    If N cameras disagree (chi^2 > 1), that of dx, dy, dz is multiplied by (1 + (2N - 3) chi^2) / (2N - 2)."""
     motion, surfaces = estimate.motion, estimate.nearest
     z = np.mean([one.noise for one in surfaces], axis=0)
     chi2 = np.nan_to_num(motion.noise_factor, nan=1.0)
@@ -96,16 +97,16 @@ def noise(estimate: StepEstimate) -> Float:
 
 
 def removed_by_prior(estimate: StepEstimate) -> Float:
-    """Return the variance of waves that the prior suppresses in all cameras alike, (4, ny, nx), m^2."""
+    """Return the variance of the waves that the prior removes, alike in all cameras, (4, ny, nx), m^2."""
     z = np.mean([one.missing for one in estimate.nearest], axis=0)
     return np.concatenate([z[None], estimate.motion.missing])
 
 
 def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int, times: Float) -> Float:
     """Return the variance of waves that interpolation between frames does not follow, (4, ny, nx), m^2.
-    For z it is `lost_by_elevation` plus `changed_waves`; for dx, dy, dz `lost_by_paths` plus `changed_waves`,
-    times WAVE_VARIANCES. `path_frames` is the kind of path polynomial (`path_weights`); `times` (6,) are in
-    frame intervals from mid-time."""
+    That of z is `lost_by_elevation` plus `changed_waves`. That of dx, dy, dz is `lost_by_paths` plus
+    `changed_waves`, times WAVE_VARIANCES. `path_frames` is the kind of path polynomial (`path_weights`);
+    `times` (6,) are in frame intervals from mid-time."""
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     for count in np.unique(estimate.mid_time.frames).tolist():
         out[0][estimate.mid_time.frames == count] = lost_by_elevation(waves, count, times)
@@ -119,9 +120,9 @@ def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int
 
 def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> float:
     """Return the variance of z, m^2, due to waves that start or stop within the six frames.
-    They are seen in the difference of z from six and from four frames, which otherwise has the variance noise
-    sum (w6 - w4)^2 + sum S |K6 - K4|^2, with the weights w of the frames, the gains K and the variances S of
-    the waves."""
+    Such waves change z from six frames relative to z from four frames. Without them, the variance of this
+    difference would be noise sum (w6 - w4)^2 + sum S |K6 - K4|^2, with the weights w of the frames, the gains
+    K and the variances S of the waves."""
     six, four = (frame_weights(times, FRAMES_OF_Z[n])[0] for n in (6, 4))
     apart = np.exp(1j * np.outer(waves.phase, times)) @ (six - four)
     expected = waves.variance @ np.square(np.abs(apart))
@@ -130,7 +131,7 @@ def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> flo
 
 
 def lost_by_elevation(waves: WaveRings, frames: int, times: Float) -> float:
-    """Return the variance of z, m^2, that interpolation between 6, 4, 3 or 2 `frames` loses.
+    """Return the variance of z, m^2, that is lost by interpolation in time between 6, 4, 3 or 2 `frames`.
     It is sum S |1 - sum w_t exp(i p t)|^2: S variance, p phase per frame, w_t weight of the frame at t."""
     weights, _ = frame_weights(times, FRAMES_OF_Z[frames])
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
@@ -138,22 +139,22 @@ def lost_by_elevation(waves: WaveRings, frames: int, times: Float) -> float:
 
 
 def lost_by_paths(waves: WaveRings, path_frames: int, times: Float) -> float:
-    """Return the variance of the rise per step, m^2, that this kind of path (`path_weights`) loses.
-    It is sum S |i p - sum w_t exp(i p t)|^2, as in `lost_by_elevation` but with the weights w_t of the time
-    derivative, plus `orbits`."""
+    """Return the variance of dz, m^2, that velocities from this kind of path (`path_weights`) lose.
+    It is sum S |i p - sum w_t exp(i p t)|^2 plus `orbits`; symbols are as in `lost_by_elevation`, but w_t are
+    weights of the time derivative."""
     _, weights = frame_weights(times, FRAMES_OF_Z[frames_of_path(path_frames)], path_frames == 6)
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1j * waves.phase - seen))) + orbits(waves, path_frames)
 
 
 def orbits(waves: WaveRings, path_frames: int) -> float:
-    """Return the variance of the rise per step, m^2, lost because long waves i carry short waves j along.
+    """Return the variance of the rise (change of z per step), m^2, lost because long waves carry short ones.
 
-    A particle that wave i displaces by xi has the velocity u + xi u', whose second term turns by p_i + p_j or
-    p_i - p_j per frame. The loss is c sum S_i S_j (k_j p_j)^2 ((K(p_i - p_j) - K(p_j) + D)^2 + (K(p_j) -
-    K(p_i + p_j) - D)^2), with the variance S, wavenumber k and phase per frame p of a wave; gains K of
-    velocities and Q of positions; D = 1 - Q(p_i); and c = 0.75, the mean squared cosine between the
-    directions of two waves.
+    A particle that long wave i displaces by xi has the velocity u + xi u' of short wave j. The phase of xi u'
+    changes by p_i + p_j or p_i - p_j per frame. The loss is c sum S_i S_j (k_j p_j)^2 ((K(p_i - p_j) - K(p_j)
+    + D)^2 + (K(p_j) - K(p_i + p_j) - D)^2), with the variance S, wavenumber k and phase per frame p of a
+    wave; the gain K of velocities and Q of positions; D = 1 - Q(p_i); and c = 0.75, the mean squared cosine
+    between the directions of two waves.
     """
     p, gain = waves.phase, path_gain(waves.phase, path_frames)
     of_sum, of_difference = (path_gain(p[:, None] + one, path_frames) for one in (p, -p))
@@ -164,7 +165,7 @@ def orbits(waves: WaveRings, path_frames: int) -> float:
 
 
 def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRings:
-    """Return the waves of the learned spectrum of z; rings that do not stand out from noise have variance 0.
+    """Return the waves in the learned spectrum of z; rings (bins of k) below the noise have variance 0.
     `pixel` is the side of a rectified pixel, metres; `frame_rate` is in Hz."""
     k = np.array(elevation.k)
     detected = np.array(elevation.detected or [[True] * len(k)]).all(axis=0)
@@ -175,9 +176,9 @@ def detected_waves(elevation: Prior, pixel: float, frame_rate: float) -> WaveRin
 
 
 def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float, float]:
-    """Return the fraction of the rise's variance that is aliased, and the longest aliased wavelength, m.
-    A wave is aliased if its phase turns by more than pi per frame. Both are 0 without such waves.
-    `detected_waves` describes the arguments."""
+    """Return a tuple: the aliased fraction of the variance of dz/dt, and the longest aliased wavelength, m.
+    A wave is aliased if its phase changes by more than pi per frame; both results are 0 without such waves.
+    Arguments are as in `detected_waves`."""
     waves = detected_waves(elevation, pixel, frame_rate)
     rise = waves.variance * np.square(waves.phase)
     fast = (waves.phase > np.pi) & (rise > 0)
@@ -187,7 +188,7 @@ def fast_waves(elevation: Prior, pixel: float, frame_rate: float) -> tuple[float
 
 
 def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
-    """Return the kind of path (4, 6 or 7, see `path_weights`) with the smallest error for these waves.
+    """Return the kind of path (4, 6 or 7, see `path_weights`) that gives velocities the smallest error.
     `noise_variance`, m^2, is the sum of the noise variances of dx, dy and dz."""
 
     def error(code: int) -> float:
@@ -201,8 +202,8 @@ def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
 
 def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
     """Return the variances (4,) of z, dx, dy, dz, m^2, due to waves shorter than blocks.
-    `learned`: standard deviation of their rise per step, and wavelength, m. A variance a^2 of z gives the
-    rise 2 a^2 (1 - cos p), with the phase p per frame (at most pi/2), and dz the variance (a p)^2."""
+    `learned`: standard deviation of their rise (change of z per step) and wavelength, m. With the phase p per
+    frame (at most pi/2), z varies by a^2, the rise by 2 a^2 (1 - cos p), and dz by (a p)^2."""
     rise, wavelength = learned
     if not rise:
         return np.zeros(4, np.float32)
@@ -213,7 +214,7 @@ def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
 
 def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
     """Return the variance due to calibration, light sheet and tilt of beads, (4, ny, nx), m^2.
-    The calibration error along the sight lines is taken to equal the smooth epipolar error across them."""
+    The error of z from the calibration is assumed to equal the smooth part of the epipolar error."""
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     out[0] = np.mean([one.epipolar**2 for one in estimate.nearest])
     tilt = bead_tilt(estimate.mid_time.rise, geometry.grid.step, geometry.settings.bead_height)
@@ -222,14 +223,15 @@ def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
 
 
 def bead_tilt(rise: Float, step: float, height: float) -> Float:
-    """Return the motion of beads relative to tilting water per step, -height grad(rise), (2, ny, nx), metres.
+    """Return how far tilting beads move relative to the water, -height grad(rise), (2, ny, nx), metres.
     `rise` (ny, nx) is the change of z per step, `step` the grid spacing, `height` that of beads; metres."""
     along_y, along_x = np.gradient(rise, step)
     return np.nan_to_num(-height * np.stack([along_x, along_y]))
 
 
 def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
-    """Return the standard uncertainty, m, of the level z = 0, which all nodes share; NaN if unknown."""
+    """Return the standard uncertainty, m, of the height of the plane z = 0, one for all nodes; NaN if
+    unknown."""
     levelled = geometry.rig.provenance.get("levelled")
     if geometry.z_is_known:
         return 0.0  # `stated_by_setup` contains it
@@ -251,15 +253,14 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
 
 
 def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry) -> tuple[float, float]:
-    """Estimate the variance of the ripples' rise per frame, m^2, in two ways: from the displacements that two
-    cameras share, and from those of each camera alone.
+    """Return two estimates of the variance of ripples' dz per frame, m^2: from two cameras, and from one.
 
-    Ripples whose rise has the variance c move the blocks of cameras a and b with the covariance J_a diag(1/2,
-    1/2, 1) J_b^T c, with J the Jacobians on the surface z (ny, nx), metres. c is fitted to the products of
-    the scores of two cameras (first result), and to the squared scores of each (second result, their
-    geometric mean). Scores are first divided by the square root of their Hessian's trace, so that all have
-    equal noise. Of all pairs of cameras, the one with the smallest ratio first / second is returned,
-    because neighbouring cameras also share changes of light. `found` are the displacements by camera.
+    Ripples whose dz has the variance c displace blocks of cameras a and b with the covariance J_a diag(1/2,
+    1/2, 1) J_b^T c; J are the Jacobians on the surface z (ny, nx), metres. The first estimate fits c to the
+    products of the scores (gradient times residual) of two cameras, the second to the squared scores of each
+    camera (geometric mean). Scores are first divided by the square root of their Hessian's trace, so that all
+    have equal noise. The result is from the pair with the smallest ratio first / second, because neighbouring
+    cameras also share changes of light. `found` are the displacements by camera.
     """
     scores, waves = {}, {}
     for name, one in found.items():
@@ -290,12 +291,12 @@ def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeo
 
 
 def ripple_rise(shared: float, total: float) -> float:
-    """Return the standard deviation of the ripples' rise per frame, m; 0 without significant ripples.
-    `shared` and `total` are the results of `shared_motion`."""
+    """Return the standard deviation of ripples' dz per frame, m; 0 if ripples are not significant.
+    `shared` and `total` are the first and second result of `shared_motion`."""
     return float(np.sqrt(shared / SEEN_BY_BLOCKS)) if shared > MIN_SHARED * total else 0.0
 
 
 def covariance(A: Float, B: Float) -> Float:
-    """Return the covariance (2, 2, n) of the scores of two cameras due to ripples with a rise of variance 1.
+    """Return the covariance (2, 2, n) of the scores of two cameras due to ripples with unit variance of dz.
     A and B (2, 3, n) are the derivatives of each camera's scores with respect to the motion of the water."""
     return np.asarray(np.einsum("ikn,k,jkn->ijn", A, WAVE_VARIANCES, B))

@@ -1,7 +1,7 @@
 """`GridGeometry`: everything that follows from rig, grid and settings alone, computed once for all frames.
 
-For every camera, `Sight` gives the image position of the nodes at any elevation, and `RectifiedView` the maps
-that rectify its images to the plane z = 0, in apparent positions of the reference camera.
+For each camera, `Sight` gives the image position of the nodes at any elevation. `RectifiedView` has the maps
+that rectify its images to the plane z = 0, where the reference camera sees points (apparent positions).
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ _ORDER = 4
 
 class Sight:
     """Image positions and Jacobians of the nodes x, y (ny, nx) in one camera, as polynomials in z.
-    `binning` is the side, in raw px, of a pixel of the binned image, which `camera` and `lattice`
-    describe."""
+    The attributes `camera` and `lattice` describe the binned image, and `binning` is the side of a binned
+    pixel in raw pixels."""
 
     def __init__(
         self, camera: Camera, binning: int, x: Float, y: Float, z_range: tuple[float, float]
@@ -60,12 +60,13 @@ class Sight:
         self._polynomial = np.einsum("pk,kfyx->fpyx", inverse, np.array(values)).astype(np.float32)
 
     def at(self, z: Float, every: int = 1) -> NDArray[np.float32]:
-        """Return X and Y (px of the binned image) and the Jacobian by rows (px/m) of nodes at z: (8, ny, nx).
-        z is in metres. If `every` is n > 1, z and the results are for every n-th node along x and y."""
+        """Return an array (8, ny, nx): positions X, Y (px of the binned image) and Jacobians by rows (px/m).
+        The nodes are at z, metres. If `every` is n > 1, z and the results are for every n-th node along x and
+        y."""
         return self._evaluate(z, self._polynomial[..., ::every, ::every])
 
     def position(self, z: Float) -> NDArray[np.float32]:
-        """Return the positions X, Y, px of the binned image, of nodes at z (ny, nx), metres: (2, ny, nx)."""
+        """Return the positions X, Y in the binned image, px, of nodes at z (ny, nx), metres: (2, ny, nx)."""
         return self._evaluate(z, self._polynomial[:2])
 
     def _evaluate(self, z: Float, polynomial: Float) -> NDArray[np.float32]:
@@ -77,7 +78,7 @@ class Sight:
         return out
 
     def sees(self, X: Float, Y: Float) -> NDArray[np.bool_]:
-        """Return a mask, True where the positions X, Y, px, lie inside the binned image."""
+        """Return a mask, True where X, Y (px of the binned image) lies inside this image."""
         w, h = self.camera.size
         with np.errstate(invalid="ignore"):
             return (X >= 0) & (X <= w - 1) & (Y >= 0) & (Y <= h - 1)
@@ -91,7 +92,7 @@ _LENS_BLUR_PX = 0.6  # standard deviation of the blur of a usual lens
 
 @dataclass(frozen=True)
 class RectifiedView:
-    """Maps, masks and blur with which the images of one camera are rectified to the plane z = 0."""
+    """Pixel maps, masks and blur that rectify the images of one camera to the plane z = 0."""
 
     maps: tuple[Float, Float]  # (row, column): position of each rectified pixel in the image (`sight_map`)
     visible: NDArray[np.bool_]  # (row, column): True where the camera sees the plane
@@ -103,10 +104,10 @@ class RectifiedView:
 def fit_plane(
     cameras: Sequence[Camera], x: Float, y: Float, z_range: tuple[float, float], pixel: float
 ) -> tuple[tuple[float, float], tuple[int, int]]:
-    """Choose the rectangle on z = 0 that images are rectified to; the first camera is the reference.
-    Returns the position (x, y) of its first pixel, metres, and its number of blocks (ny, nx). It contains the
-    apparent positions of those nodes x, y (ny, nx) that two cameras see, at any z in `z_range`. The side of a
-    `pixel` is in metres."""
+    """Choose the rectangle of the plane z = 0 to which images are rectified; cameras[0] is the reference.
+    Returns a tuple: position (x, y) of its first pixel, metres, and number of its blocks (ny, nx). Sight
+    lines to all nodes x, y (ny, nx) that two cameras see meet it, at any z in `z_range`. `pixel` is the side
+    of a pixel, m."""
     if min(x.shape) < _MIN_NODES:
         raise RigError(
             f"the grid has {x.shape[1]} x {x.shape[0]} nodes, and slopes need {_MIN_NODES} along each side: "
@@ -141,9 +142,9 @@ def fit_plane(
 
 
 def _reach(camera: Camera, edge: Float) -> Float:
-    """Return points (n, 2), metres, that bound the part of z = 0 which a camera sees.
-    If the horizon is in view, they include those edge nodes of the grid, `edge` (m, 2), m, that are
-    visible."""
+    """Return points (n, 2), metres, around the part of the plane z = 0 that a camera sees.
+    If the camera sees the horizon, these include the visible ones of the points `edge` (m, 2), metres, on the
+    edge of the grid."""
     view = view_on_water(camera)
     if np.isfinite(camera.corners()).all():
         return view
@@ -158,7 +159,7 @@ def rectified_views(
     middle: tuple[float, float],
     stereo: MatchSettings,
 ) -> dict[str, RectifiedView]:
-    """Return, by camera, its view of the rectified pixels at x (w,), y (h,), whose side is `pixel`; metres.
+    """Return, by camera, the view with rectified pixels at x (w,), y (h,) and of the side `pixel`, metres.
     `middle` (x, y) of the grid is in metres; `stereo` are the settings of matching between cameras."""
     blur, shape = _blur(sights, pixel, middle), (x.size // BLOCK, y.size // BLOCK)
     out = {}
@@ -175,8 +176,8 @@ def _blur(
     sights: Mapping[str, Sight], pixel: float, middle: tuple[float, float]
 ) -> dict[str, tuple[float, float]]:
     """Return, by camera, the blur (std along x and y, px) that makes beads equally wide in all views.
-    Without this blur, beads would be stretched along the view of an oblique camera, which would bias z.
-    `pixel` and `middle` (x, y) of the grid are in metres."""
+    Without it, an oblique camera would show beads stretched along its view, which biases z. The side of a
+    `pixel` and the grid's `middle` (x, y) are in metres."""
     variances = {}
     for name, sight in sights.items():
         side = np.linalg.inv(sight.camera.jacobian(*middle, 0.0)[:, :2]) / pixel
@@ -194,13 +195,13 @@ Pixels = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Covered:
-    """Mask of one camera's image, prepared for matching in time and for matching between cameras."""
+    """Mask of one camera's image, prepared for matching between frames and for matching between cameras."""
 
     raw: Mask  # of the binned image, for matching in time
     flat: Mask | None  # of the rectified image; None for a camera that does not measure z
 
     def at(self, X: NDArray[Any], Y: NDArray[Any]) -> Pixels:
-        """Return a mask, True where the block around X, Y, px, is in the image and has masked pixels."""
+        """Return a mask, True where the block around X, Y, px, is in the image and has a masked pixel."""
         whole = self.raw.levels[0]
         h, w = whole.shape
         with np.errstate(invalid="ignore"):
@@ -221,7 +222,7 @@ _SPARE_PX = 2.0  # margin of the search range for displacements, around the para
 
 
 class GridGeometry:
-    """A rig above a grid, and all that follows from rig, grid and settings alone.
+    """Geometry of a rig above a grid, computed once for all frames.
 
     Parameters
     ----------
@@ -237,7 +238,7 @@ class GridGeometry:
     Raises
     ------
     ExperimentError
-        If a camera is named that the rig does not have, or the pairs have no camera in common.
+        If the settings name a camera that is not in the rig, or the pairs have no camera in common.
     RigError
         If the cameras have no common view of the grid.
     """
@@ -283,34 +284,34 @@ class GridGeometry:
 
     @property
     def reference(self) -> str:
-        """Camera that belongs to all pairs; the lattice of z consists of its apparent positions."""
+        """Name of the camera that all pairs contain; blocks of z lie where it sees them on z = 0."""
         return self.pairs[0][0]
 
     @property
     def surface_cameras(self) -> tuple[str, ...]:
-        """Cameras that measure z, the reference first."""
+        """Names of the cameras that measure z, the reference first."""
         return (self.reference, *(b for _, b in self.pairs))
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """Cameras that measure z or velocities, in the order of the rig."""
+        """Names of the cameras that measure z or velocities, in the order of the rig."""
         return tuple(n for n in self.rig if n in self.surface_cameras or n in self.velocity_cameras)
 
     @property
     def z_is_known(self) -> bool:
-        """Whether particles in a light sheet on z = 0 are measured, and not a water surface.
-        Cameras are then matched in time only, z and its rise are 0, and the gain of z is NaN."""
+        """True for particles in a light sheet on z = 0, False for a water surface.
+        In a sheet, cameras are matched in time only, z and its change are 0, and the gain of z is NaN."""
         return self.settings.sheet_thickness is not None
 
     @property
     def wave_variances(self) -> Float:
-        """Relative variances (3,) of u, v, w in waves that the prior suppresses.
-        They are equal in a light sheet; on water, that of w equals the sum of those of u and v."""
+        """Variances (3,) of u, v, w relative to each other, in waves that the prior suppresses.
+        They are 1, 1, 1 in a light sheet and 0.5, 0.5, 1 on water."""
         return np.ones(3) if self.z_is_known else WAVE_VARIANCES
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Middle x, y of the grid, metres."""
+        """Coordinates (x, y) of the middle of the grid, metres."""
         return 0.5 * (self.grid.x[0] + self.grid.x[1]), 0.5 * (self.grid.y[0] + self.grid.y[1])
 
     @cached_property
@@ -325,7 +326,7 @@ class GridGeometry:
 
     @cached_property
     def covered_nodes(self) -> NDArray[np.bool_]:
-        """Mask (ny, nx), True for nodes inside or on one of the outlines in `covered`."""
+        """Mask (ny, nx), True for nodes inside or on one of the outlines `covered`."""
         out = np.zeros(self.x.shape, bool)
         for outline in self.covered:
             line = np.array(outline, np.float32)
@@ -336,7 +337,7 @@ class GridGeometry:
         return out
 
     def stereo_settings(self, pair: Pair) -> MatchSettings:
-        """Return the settings for matching a pair, with the search range that follows from `z_range`."""
+        """Return the settings for matching a pair of cameras; the search range follows from `z_range`."""
         a, b = (self.rig[name] for name in pair)
         xa, ya = np.meshgrid(self.lattice.x[[0, -1]], self.lattice.y[[0, -1]])
         ends = []
@@ -353,7 +354,7 @@ class GridGeometry:
         return settings
 
     def pairs_for(self, present: Sequence[str]) -> tuple[Pair, ...]:
-        """Return the pairs whose cameras are both `present`; if none is, new pairs of present cameras."""
+        """Return the pairs with both cameras in `present`; if there is none, new pairs of present cameras."""
         planned = tuple(p for p in self.pairs if p[0] in present and p[1] in present)
         if planned:
             return planned
@@ -361,7 +362,7 @@ class GridGeometry:
         return pairs_of(self.rig, rest) if len(rest) >= 2 else ()
 
     def _check_view(self) -> None:
-        """Raise RigError if no node is seen by both cameras of a pair."""
+        """Raise RigError unless at least one node is seen by both cameras of a pair."""
         heights = (self.z_range[0], 0.0, self.z_range[1])
         visible = {
             name: np.any([self.rig[name].sees(self.x, self.y, z) for z in heights], axis=0)
@@ -371,13 +372,13 @@ class GridGeometry:
             raise RigError("no two cameras see the grid: does the grid lie in the cameras' view?")
 
     def _fitting_pixel(self) -> float:
-        """Return the side of a rectified pixel, m: that of the coarsest camera, or down to half of it."""
+        """Return the side of a rectified pixel, m: that of the coarsest camera, or at least half of that."""
         own = max(pixel_sides(self.rig[name], *self.middle)[0] for name in self.surface_cameras)
         return max(own / 2.0, min(own, 0.8 * self.grid.step / BLOCK))
 
 
 def _with_reference_first(pairs: Sequence[Pair]) -> tuple[Pair, ...]:
-    """Return the pairs with their common camera first; ExperimentError if there is none or pairs repeat."""
+    """Put the camera that all pairs share first in each; ExperimentError if there is none or pairs repeat."""
     common = set.intersection(*(set(pair) for pair in pairs))
     if not common or len({frozenset(p) for p in pairs}) < len(pairs):
         text = ", ".join(f"[{a}, {b}]" for a, b in pairs)
