@@ -41,16 +41,16 @@ def window_weights(window: float) -> np.ndarray:
 
 
 def filtered(field: np.ndarray, weights: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-    """Convolve a field (ny, nx) along x and y with the same weights; its edge values continue beyond it.
-    The result is returned, and written to `out` if that is given."""
+    """Return a field (ny, nx) convolved along x and along y with `weights`, also written to `out` if given.
+    Beyond the edges, the field continues with its edge values."""
     return cv2.sepFilter2D(field, -1, weights, weights, dst=out, borderType=BORDER)
 
 
 def smoothed(
     field: np.ndarray, sigma: float, order: int, weighting: tuple[np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:
-    """Smooth a field f (ny, nx) by 1 - (1 - G)^order, with G a Gaussian of `sigma` blocks (0: no smoothing).
-    With `weighting` from `smoother_weights`, G is the weighted mean G(w f) / G(w)."""
+    """Return a field f (ny, nx) smoothed by 1 - (1 - G)^order, with G a Gaussian of `sigma` blocks.
+    G is the weighted mean G(w f) / G(w) with `weighting` from `smoother_weights`; 0 blocks: not smoothed."""
     if sigma == 0:
         return field
     g, part, rest = gaussian(sigma), np.empty_like(field), field.copy()
@@ -64,7 +64,7 @@ def smoothed(
 
 
 def smoother_weights(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the argument `weighting` of `smoothed`: the weights w (ny, nx) of the blocks, and 1 / G(w).
+    """Return the block weights w (ny, nx), unchanged, and 1 / G(w): the argument `weighting` of `smoothed`.
     G is a Gaussian of `sigma` blocks."""
     return weight, F(1) / np.maximum(filtered(weight, gaussian(sigma)), F(1e-3))
 
@@ -107,10 +107,10 @@ def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) ->
 def subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float]:
-    """Subtract from scores `sums`, in place, the strain of beads cut by block edges; return c and s^2.
-    `reevaluate` defines both factors. `sums` is (2, ny, nx). `moments` (8, ny, nx) come from
-    `strain_moments`, `slope` (4, ny, nx) are displacement gradients, and `count` (ny, nx) is 1 for usable
-    blocks, else 0."""
+    """Correct scores `sums` (2, ny, nx), in place, for strained beads that block edges cut; return c and s^2.
+    The correction is c a + s^2 b, with a and b from `_strains`; c and s^2 are fitted (see `reevaluate`).
+    `moments` (8, ny, nx) come from `strain_moments`, `slope` (4, ny, nx) are displacement gradients, and
+    `count` (ny, nx) is 1 for usable blocks, else 0."""
     aa, ab, bb, ra, rb = _strain_products(sums, moments, slope, count)
     determinant = max(aa * bb - ab * ab, 1e-6 * aa * bb + 1e-30)
     c = min(max((ra * bb - rb * ab) / determinant, 0.0), 1.0)
@@ -121,9 +121,9 @@ def subtract_strain(
 
 @njit
 def _strains(moments: np.ndarray, slope: np.ndarray, j: int, i: int) -> Any:
-    """Return the two terms that strain adds to the score of block (j, i): x and y of each term.
-    The first term comes from the brightness of the image, the second from its second derivatives. They are
-    not yet multiplied by c and s^2. `subtract_strain` describes the arguments."""
+    """Return the strain terms a and b of the score of block (j, i), as four numbers: a_x, a_y, b_x, b_y.
+    a contains the brightness of the image, b its second derivatives; strain changes the score by c a + s^2 b.
+    `subtract_strain` describes the arguments."""
     ux, shear, vy = slope[0, j, i], slope[1, j, i] + slope[2, j, i], slope[3, j, i]
     divergence = ux + vy
     return (
@@ -138,7 +138,7 @@ def _strains(moments: np.ndarray, slope: np.ndarray, j: int, i: int) -> Any:
 def _strain_products(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray
 ) -> tuple[float, float, float, float, float]:
-    """Return the sums over usable blocks of a.a, a.b, b.b, r.a, r.b, for a least-squares fit r = c a + s^2 b.
+    """Return a.a, a.b, b.b, r.a, r.b, summed over usable blocks, for a least-squares fit of r = c a + s^2 b.
     a and b are the terms of `_strains`, r the scores `sums` (2, ny, nx); `count` (ny, nx) is 1 if usable."""
     aa = ab = bb = ra = rb = 0.0
     for j in range(count.shape[0]):
@@ -158,7 +158,7 @@ def _strain_products(
 def _subtract_strain(
     sums: np.ndarray, moments: np.ndarray, slope: np.ndarray, count: np.ndarray, c: F, s2: F
 ) -> None:
-    """Subtract c times the first and s2 times the second term of `_strains` from scores `sums`, in place."""
+    """Subtract c a + s^2 b from scores `sums` (2, ny, nx), in place, with the terms a and b of `_strains`."""
     for j in range(count.shape[0]):
         for i in range(count.shape[1]):
             a, b, p, q = _strains(moments, slope, j, i)
@@ -191,7 +191,7 @@ def step(
 
 
 def replace_outliers(u: np.ndarray, v: np.ndarray, limit: float) -> np.ndarray:
-    """Replace outliers in u, v (ny, nx), px, in place, by the median of 5 x 5 blocks; return their mask.
+    """Replace outliers in u, v (ny, nx), px, in place, by the median of 5 x 5 blocks; return a mask of them.
     A block is an outlier if |u - median of u| + |v - median of v| is more than `limit` px."""
     median_u, median_v = cv2.medianBlur(u, 5), cv2.medianBlur(v, 5)
     outlier: np.ndarray = np.abs(u - median_u) + np.abs(v - median_v) > F(limit)
@@ -209,7 +209,7 @@ def _doubling_maps(coarse: tuple[int, int], fine: tuple[int, int]) -> tuple[np.n
 
 def to_finer(field: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Interpolate a displacement component, px, to the next finer pyramid level with `shape` (ny, nx) blocks.
-    Its values are doubled, because a pixel of the finer level is half as large."""
+    The values are doubled, because a pixel of the finer level is half as large."""
     x, y = _doubling_maps(field.shape, shape)
     return cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=BORDER) * F(2)
 
@@ -226,8 +226,8 @@ def block_weights(
     block: int = BLOCK,
 ) -> None:
     """Write 1 to out (ny, nx) for blocks that are usable at the displacement u, v (ny, nx), px, else 0.
-    A block is usable if it ends up inside image b (`height`, `width`) and is masked in neither image. Masks
-    (h, w) are 1 where all of the block around a pixel is usable; an empty mask masks nothing."""
+    A block is usable if it ends up inside image b (`height` x `width` px) and is masked in neither image.
+    `mask_a` and `mask_b` (h, w) are 1 where all of the block around a pixel is usable; empty: no mask."""
     ny, nx = u.shape
     for j in range(ny):
         for i in range(nx):
@@ -254,13 +254,13 @@ LEAST_NOISE = 0.3  # lower bound of the noise expected around a cluster, over th
 def noise_of_scores(
     score: Float, trace: Float, counts: Float, freedom: float, with_mismatches: bool = False
 ) -> Float:
-    """Return the noise nu of the scores of blocks, (ny, nx): their variance per unit of their Hessian.
+    """Return the noise nu of the scores of blocks, (ny, nx): the variance of a score over its Hessian.
 
     `score` (c, ny, nx) are sums of gradient times residual, `trace` (ny, nx) the trace of the Hessian,
     `counts` (ny, nx) 1 for usable blocks, else 0. nu is the squared score of clusters of 5 x 5 blocks over
-    their trace, both smoothed over 6 blocks, divided by `freedom`, the fraction of the variance that a fit
-    leaves. Where the trace is small, nu approaches a typical value of the image: the mean, or the median if
-    `with_mismatches`, because blocks that do not match would raise the mean.
+    the trace of these clusters, each smoothed over 6 blocks, divided by `freedom`, the fraction of the
+    variance that a fit leaves. Where the trace is small, nu approaches the mean ratio of the image, or the
+    median if `with_mismatches`, because mismatched blocks raise the mean.
     """
     complete = (_clusters(counts) > CLUSTER**2 - 0.5).astype(np.float32)
     square = np.zeros_like(trace)
@@ -283,7 +283,7 @@ def noise_of_scores(
 
 def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
     """Return a weight of each block, (ny, nx): 1, or less where its score far exceeds the noise around it.
-    Examples are edges of objects, and beads that enter or leave. Arguments are as in `noise_of_scores`."""
+    Low weights occur at edges of objects and where beads enter or leave. Arguments: see `noise_of_scores`."""
     square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
     information = _clusters(trace * counts)
     least = F(HOLE_INFORMATION) * information.mean()
@@ -300,9 +300,9 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
-    """Return a mask (ny, nx), True for blocks in holes, which have little information around them.
-    The mean of the inverse variances `information` (ny, nx) over 7 x 7 blocks is at most 0.15 times
-    `typical_information`."""
+    """Return a mask (ny, nx), True in holes, where the blocks measure the field poorly or not at all.
+    In a hole, the mean of the inverse variances `information` (ny, nx) over 7 x 7 blocks is at most 0.15
+    times `typical_information`."""
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )
@@ -315,7 +315,7 @@ def _clusters(field: Float) -> Float:
 
 
 def _smoothed(field: Float) -> Float:
-    """Smooth a field (ny, nx) by a Gaussian of 6 blocks; the result has half as many rows and columns."""
+    """Return a field (ny, nx) smoothed by a Gaussian of 6 blocks, at every second row and column."""
     ny, nx = field.shape  # clusters around neighbouring blocks overlap, so every second one suffices
     half = cv2.resize(field, ((nx + 1) // 2, (ny + 1) // 2), interpolation=cv2.INTER_AREA)
     return cv2.GaussianBlur(half, (0, 0), 0.5 * SMOOTHING_RADIUS, borderType=cv2.BORDER_REFLECT)

@@ -71,7 +71,7 @@ def work_space(nx: int) -> WorkSpace:
 
 @njit
 def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
-    """Smooth row y of an image along y by the quintic B-spline, into s, and differentiate it along y, into d.
+    """Write row y of an image, smoothed along y by the quintic B-spline, to s; its derivative along y to d.
     `image` includes its border of PAD pixels; s and d (w + 4,) start two pixels left of the inner image."""
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
     d1, d2 = F(10 / 24), F(1 / 24)
@@ -84,7 +84,7 @@ def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
 
 @njit
 def _value(s: Array, x: int) -> np.float32:
-    """Return the value, at pixel x, of the spline along a row s that starts two pixels left of the image."""
+    """Return the value at pixel x of the spline through a row s that starts two pixels left of the image."""
     out: np.float32 = (
         F(66 / 120) * s[x + 2] + F(26 / 120) * (s[x + 1] + s[x + 3]) + F(1 / 120) * (s[x] + s[x + 4])
     )
@@ -93,15 +93,15 @@ def _value(s: Array, x: int) -> np.float32:
 
 @njit
 def _slope(s: Array, x: int) -> np.float32:
-    """Return the derivative along x, at pixel x, of the spline along a row s, as in `_value`."""
+    """Return the derivative along x at pixel x of the spline through a row `s` (see `_value`)."""
     out: np.float32 = F(10 / 24) * (s[x + 3] - s[x + 1]) + F(1 / 24) * (s[x + 4] - s[x])
     return out
 
 
 @njit
 def _spline_row(image: Array, y: int, rows: Array, n: int) -> None:
-    """Write the first n pixels of row y of an image, smoothed, to rows[2], their gradients to rows[3:5].
-    Gradients are along x, then y. `image` includes its border; rows[0] and rows[1] are overwritten."""
+    """Write n smoothed pixels of row y of an image to rows[2], gradients along x and y to rows[3], rows[4].
+    `image` includes its border; rows[0] and rows[1] are overwritten."""
     s, d = rows[0][: n + 4], rows[1][: n + 4]
     a, gx, gy = rows[2][:n], rows[3], rows[4]
     _spline_columns(image, y, s, d)
@@ -113,7 +113,7 @@ def _spline_row(image: Array, y: int, rows: Array, n: int) -> None:
 
 @njit
 def _fold(row: Array, out: Array) -> None:
-    """Write to out[n] the sum of the BLOCK pixels of block n in a row of pixels."""
+    """Write to out[n] the sum of the pixels of block n, from a row of pixels with BLOCK pixels per block."""
     for b in range(len(out)):
         total = F(0)
         for i in range(BLOCK):
@@ -157,7 +157,7 @@ def gradient_moments(image: Array, work: WorkSpace, out: Array) -> None:
 
 @inlined
 def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
-    """Smooth row y of an image along y into s; write its first and second derivatives along y to d and e."""
+    """Write row y of an image, smoothed along y, to s; its first and second y derivatives to d and e."""
     a0, a1, a2 = F(66 / 120), F(26 / 120), F(1 / 120)
     d1, d2 = F(10 / 24), F(1 / 24)
     r0, r1, r2 = image[y + PAD - 2][PAD - 2 :], image[y + PAD - 1][PAD - 2 :], image[y + PAD][PAD - 2 :]
@@ -171,7 +171,7 @@ def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
 
 @inlined
 def _bend(s: Array, x: int) -> np.float32:
-    """Return the second derivative along x, at pixel x, of the spline along a row s, as in `_value`."""
+    """Return the second derivative along x at pixel x of the spline through a row `s` (see `_value`)."""
     out: np.float32 = F(2 / 6) * (s[x + 1] + s[x + 3]) + F(1 / 6) * (s[x] + s[x + 4]) - s[x + 2]
     return out
 
@@ -179,7 +179,7 @@ def _bend(s: Array, x: int) -> np.float32:
 @inlined
 def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None:
     """Add the eight products of `strain_moments`, for each pixel of a row, to the eight arrays `totals`.
-    s, d, e are the row smoothed along y, its first and its second derivative along y (`_spline_bends`)."""
+    s is the row smoothed along y, d and e are its first and second derivative along y (`_spline_bends`)."""
     s0, s1, s2, s3, s4, s5, s6, s7 = totals  # loops over slices that are made here do not vectorise
     for x in range(len(s0)):
         p, q, a = _slope(s, x), _value(d, x), _value(s, x)
@@ -196,8 +196,8 @@ def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None
 
 @njit
 def strain_moments(image: Array, work: WorkSpace, out: Array) -> None:
-    """Write sums over each block of gx a, gy a, gx a_xx, gx a_xy, gx a_yy, gy a_xx, gy a_xy, gy a_yy to out.
-    gx, gy, a_xx, ... are first and second derivatives of `image` a (with border); out is (8, ny, nx)."""
+    """Write eight sums over each block to out (8, ny, nx), for `subtract_strain`; `image` a has its border.
+    They are of gx a, gy a, gx a_xx, gx a_xy, gx a_yy, gy a_xx, gy a_xy, gy a_yy, with g = grad a."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -223,9 +223,9 @@ def _block_reader(
     along_x: types.Type,
     along_y: types.Type,
 ) -> tuple[Signature, Callable[..., ir.Value]]:
-    """Generate the LLVM code of `_read_block`, which samples BLOCK rows of LANES pixels of `image`.
-    The code reads from element `start` on, in rows of `stride` elements, with TAPS weights `along_x` and
-    `along_y`. It writes to `strip` from element `to` on, in rows of `width` elements."""
+    """Generate the LLVM code of `_read_block`, which samples one block of `image` between its pixels.
+    It reads rows of `stride` elements from element `start` on, with TAPS weights `along_x` and `along_y`. It
+    writes BLOCK rows of LANES pixels to `strip`, from element `to` on, `width` elements apart."""
 
     def build(
         context: BaseContext, builder: ir.IRBuilder, signature: Signature, arguments: Sequence[ir.Value]
@@ -275,8 +275,8 @@ _read_block: Callable[..., None] = numba.extending.intrinsic(_block_reader)
 
 @njit
 def _spline_taps(position: Array, whole: Array, taps: Array) -> None:
-    """Split positions (n,), px, into whole pixels and fractions.
-    Whole pixels are written to `whole` (n,), the spline weights for the fractions to taps (6, n)."""
+    """Write the whole part of positions (n,), px, to `whole` (n,) and six spline weights to taps (6, n).
+    The weights sample an image at the fractional part of each position."""
     for b in range(len(position)):
         low = np.floor(position[b])
         f = position[b] - low
@@ -308,8 +308,8 @@ def _spread(values: Array, out: Array) -> None:
 
 @njit
 def _spread_ramps(slopes: Array, out: Array) -> None:
-    """Write to each block of a row of pixels `out` a straight line that is 0 at the centre of the block.
-    `slopes` (nx,) are the slopes of the lines per pixel."""
+    """Write to each block of a row of pixels `out` a ramp that is 0 at the centre of the block.
+    `slopes` (nx,) are the increases of the ramps per pixel."""
     for b in range(len(slopes)):
         for k in range(BLOCK):
             out[b * BLOCK + k] = slopes[b] * (F(k) - MID)
@@ -337,7 +337,7 @@ def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> N
 
 @njit
 def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
-    """Add gx r to sums[0] and gy r to sums[1] for every pixel of a row, as `plain_sums` describes.
+    """Add gx r to sums[0] and gy r to sums[1] at each pixel of a row, with the residual r (see `plain_sums`).
     s, d are from `_spline_columns` for the first image; b is the row of the displaced second image."""
     n = len(s) - 4
     s0, s1 = sums[0][:n], sums[1]
@@ -349,9 +349,9 @@ def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
 
 @njit
 def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace, out: Array) -> None:
-    """Write the scores of the blocks, sums of gx r and gy r with r = a - b(x + d), to out (2, ny, nx).
+    """Write the block sums of gx r and gy r to out (2, ny, nx), with the residual r = a(x) - b(x + d).
     gx, gy are the gradients of the `first` image a; the displacement d = (u, v) (ny, nx), px, from a to the
-    `second` image b is constant in a block. Both images include their borders."""
+    `second` image b is constant in a block. a and b include their borders."""
     n = u.shape[1] * BLOCK
     s, d = work.rows[0][: n + 4], work.rows[1][: n + 4]
     for by in range(len(u)):
@@ -370,8 +370,8 @@ def plain_sums(first: Array, second: Array, u: Array, v: Array, work: WorkSpace,
 
 @njit
 def _spread_slopes(slopes: Array, by: int, rows: Array) -> None:
-    """Write the displacement gradients `slopes` (4, ny, nx) of block row `by` to the pixels of rows[5:9].
-    du/dx and dv/dx are multiplied by the distance x from the block's centre; the caller multiplies by y."""
+    """Write displacement gradients, at each pixel of block row `by`, to rows[5:9]; `slopes` is (4, ny, nx).
+    du/dx, dv/dx are multiplied by x from the block's centre; the caller multiplies du/dy, dv/dy by y."""
     _spread_ramps(slopes[0, by], rows[5])
     _spread(slopes[1, by], rows[6])
     _spread_ramps(slopes[2, by], rows[7])
@@ -388,7 +388,7 @@ def _residual_row(
     r: Array,
     sums: tuple[Array, ...],
 ) -> None:
-    """Write a row of smoothed pixels to a and of residuals to r; add gx r and gy r to the two arrays `sums`.
+    """Write smoothed pixels of a row to a, residuals to r; add gx r and gy r to the two arrays `sums`.
     The row lies y px below the centre of its blocks. `splines` are s and d of `_spline_columns`, `slopes` the
     four rows of `_spread_slopes`, and b is the row of the displaced second image."""
     s, d = splines
@@ -406,8 +406,8 @@ def _residual_row(
 @njit
 def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
     """Write sums over BLOCK rows of r r, a, a a, r, a r, ga gb, ((ga + gb) / 2)^2 to the arrays `totals`.
-    There is one sum for each column of pixels. The rows a (first image) and r = a - b (residual) start one
-    pixel left of the image; ga, gb are the differences a[x + 1] - a[x - 1] of the two images."""
+    Each pixel column has its own sums. The rows a (first image) and r = a - b (residual) start one pixel left
+    of the image; ga, gb are the differences a[x + 1] - a[x - 1], b[x + 1] - b[x - 1]."""
     s5, s6, s7, s8, s9, s10, s11 = totals
     for x in range(len(s5)):
         rr = sa = aa = sr = ar = ab = mm = F(0)
@@ -435,10 +435,10 @@ def _strip_sums(a: Array, r: Array, totals: tuple[Array, ...]) -> None:
 def final_sums(
     first: Array, second: Array, u: Array, v: Array, slopes: Array, work: WorkSpace, out: Array
 ) -> None:
-    """Write sums over each block of the images `first` and `second`, with borders, to out (12, ny, nx).
-    Planes 0 and 1 are the two scores, those from 5 on the moments of `_strip_sums`; 2 to 4 are not
-    written. The displacement u, v (ny, nx), px, at block centres has the gradients `slopes` (4, ny, nx):
-    du/dx, du/dy, dv/dx, ..."""
+    """Write nine sums over each block to planes 0, 1 and 5 to 11 of out (12, ny, nx).
+    Planes 0 and 1 are the sums of gx r and gy r (see `plain_sums`), from 5 on those of `_strip_sums`. Images
+    include borders. The displacement u, v (ny, nx), px, at block centres has the gradients du/dx, du/dy,
+    dv/dx, dv/dy, `slopes` (4, ny, nx)."""
     n = u.shape[1] * BLOCK
     rows, sums = work.rows, work.sums
     splines, spread = (rows[0][: n + 4], rows[1][: n + 4]), (rows[5], rows[6], rows[7], rows[8])
@@ -487,7 +487,7 @@ def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.i
 @njit
 def bead_blocks(image: Array, out: Array) -> None:
     """Write to out (h, w), for each pixel, the block that contains the brightest point of its bead.
-    Blocks are numbered row by row. `image` has a border of PAD px, whose inner edge must be darker."""
+    Blocks are numbered row by row. `image` has a border of PAD px, darker than the image where they meet."""
     h, w = out.shape
     for y in range(h):
         r = y + PAD
@@ -515,8 +515,8 @@ def bead_blocks(image: Array, out: Array) -> None:
 
 @njit
 def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> None:
-    """Write sums of gx gx, gx gy, gy gy over the whole beads of each block to out (ny nx, 3).
-    A bead belongs to the block of its brightest point, `block` (h, w) from `bead_blocks`."""
+    """Write sums of gx gx, gx gy, gy gy over all beads of each block to out (ny nx, 3).
+    All pixels of a bead count in the block of its brightest point, `block` (h, w) from `bead_blocks`."""
     h, n = block.shape
     out[:] = F(0)
     gx, gy = work.rows[3], work.rows[4]
@@ -533,7 +533,7 @@ def bead_hessians(image: Array, block: Array, work: WorkSpace, out: Array) -> No
 def _scores_of_pixels(
     splines: tuple[Array, ...], slopes: tuple[Array, ...], b: Array, y: np.float32, to: tuple[Array, ...]
 ) -> None:
-    """Write gradient times residual, gx r and gy r, of each pixel of a row to the two arrays `to`.
+    """Write gx r and gy r (gradient times residual) of each pixel of a row to the two arrays `to`.
     The other arguments are those of `_residual_row`."""
     s, d = splines
     ux, uy, vx, vy = slopes
@@ -556,7 +556,7 @@ def bead_scores(
     work: WorkSpace,
     out: Array,
 ) -> None:
-    """Write the scores, sums of gx r and gy r over the whole beads of each block, to out (ny nx, 2).
+    """Write sums of gx r and gy r (gradient times residual) over all beads of each block to out (ny nx, 2).
     `block` (h, w) comes from `bead_blocks`; `final_sums` describes the other arguments."""
     n = u.shape[1] * BLOCK
     rows = work.rows
@@ -578,9 +578,9 @@ def bead_scores(
 
 @njit
 def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
-    """Write sums over each block of a times a shifted b to out (ny, shifts, nx + 2 border).
-    b is shifted by dy rows, and by `first`, `first` + 1, ... columns. It has a `margin`, px, which a has not;
-    `row` is scratch. The border of `out` repeats the values of the outermost blocks."""
+    """Write sums over each block of image a times a shifted image b to out (ny, shifts, nx + 2 border).
+    b is shifted by dy rows, and by `first`, `first` + 1, ... columns. b has a border of `margin` px, a has
+    none; `row` is scratch. The border of `out` repeats the values of the outermost blocks."""
     ny, n, width = out.shape
     nx = len(row) // BLOCK
     border = (width - nx) // 2

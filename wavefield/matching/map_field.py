@@ -109,16 +109,16 @@ class Cosines:
         return np.ascontiguousarray(by_parity.transpose(3, 1, 0, 4, 2)).reshape(c, *self.shape)
 
     def quarters(self, field: Float) -> Float:
-        """Return the four parts of a field (c, ny, nx), even or odd along y and x: (2, hy, 2, c, hx).
-        Axes 0 and 2 are the parities (even, odd) along y and x; hy x hx blocks are a quarter lattice."""
+        """Split a field (c, ny, nx) into parts that are even or odd along y and x; return (2, hy, 2, c, hx).
+        Axes 0 and 2 are the parities (even, odd) along y and x; a quarter lattice has hy x hx blocks."""
         hy, hx = self._half
         out = np.empty((2, hy, 2, len(field), hx), F)
         _fold(np.ascontiguousarray(field, F), out)
         return out
 
     def mirrored(self, field: Float) -> Float:
-        """Return a field (c, ny, nx) as its four quarters, each mirrored onto the first: (2, 2, c, hy, hx).
-        Axes 0 and 1 tell whether the quarter lies in the lower and in the right half of the lattice."""
+        """Return the quarters of a field (c, ny, nx), each mirrored onto the upper left: (2, 2, c, hy, hx).
+        Axis 0 is 1 for the lower half of the lattice, axis 1 is 1 for the right half."""
         (ny, nx), (hy, hx) = self.lattice, self._half
         # the middle of an odd number of blocks is its own mirror image and is counted once
         out = np.zeros((2, 2, len(field), hy, hx), F)
@@ -196,9 +196,9 @@ def _unfold(quarters: Float, out: Float) -> None:
 
 @reassociating
 def multiply(a: Float, quarters: Float) -> None:
-    """Multiply a field by the information A at every block, in place.
-    `quarters` are the even and odd parts of the field (`Cosines.quarters`). `a` is A as `Cosines.mirrored`
-    returns it, with one component, or with three (xx, xy, yy) for fields of two components."""
+    """Multiply a field by the information A (inverse variance) of every block, in place.
+    `quarters` are the even and odd parts of the field (`Cosines.quarters`). `a` is A from `Cosines.mirrored`,
+    with one component, or with three (xx, xy, yy) for fields of two components."""
     _, hy, _, c, _ = quarters.shape
     for j in range(hy):
         top, bottom = quarters[0, j], quarters[1, j]
@@ -210,17 +210,17 @@ def multiply(a: Float, quarters: Float) -> None:
 
 @reassociating
 def _four_places(ee: F, eo: F, oe: F, oo: F) -> tuple[F, F, F, F]:
-    """Return a field at (y, x), (y, -x), (-y, x), (-y, -x), measured from the middle, from its four parts.
-    Letters of a part are its parities along y and x: `eo` is even along y and odd along x."""
+    """Return a field at (y, x), (y, -x), (-y, x), (-y, -x), from its four parts at (y, x).
+    Letters of a part are its parities along y and x: `eo` is even along y. x, y start from the middle."""
     p, q, r, s = ee + oe, eo + oo, ee - oe, eo - oo
     return p + q, p - q, r + s, r - s
 
 
 @reassociating
 def _multiply_one(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom: Float) -> None:
-    """Multiply a row of a field of one component by the information A, in place.
+    """Multiply a row of a one-component field by the information A (inverse variance of blocks), in place.
     a0 to a3 are A at the four places of `_four_places`. `top` holds the parts of the field that are even
-    along y, `bottom` the odd ones."""
+    along y, `bottom` the odd parts."""
     ee, eo, oe, oo = top[0, 0], top[1, 0], bottom[0, 0], bottom[1, 0]
     for i in range(len(a0)):
         f0, f1, f2, f3 = _four_places(ee[i], eo[i], oe[i], oo[i])
@@ -259,12 +259,12 @@ def _multiply_two(a0: Float, a1: Float, a2: Float, a3: Float, top: Float, bottom
 
 
 class Modes(Cosines):
-    """The cosine modes of a MAP field (the most probable field) on a lattice (ny, nx), and the solver for it.
+    """Solver for a MAP field (the most probable field) on a lattice (ny, nx), in cosine modes.
 
     Modes beyond the last one with a signal-to-noise ratio above 0.02 are left out. `requested` (ny, nx) is
-    True where holes count in the choice of the solver's tolerance; None: everywhere. `foot` (my, mx) is the
-    gain F of averaging over a block, `inverse` (c, my, mx) is 1/S, and `freedom` the fraction of the variance
-    of scores that a fit leaves.
+    True where the solution is needed (None: everywhere): holes there demand a smaller tolerance. `foot` (my,
+    mx) is the gain F of averaging over a block, `inverse` (c, my, mx) is 1/S, and `freedom` the fraction of
+    the variance of scores (gradient times residual) that a fit leaves.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int], requested: Mask | None = None) -> None:
@@ -299,18 +299,18 @@ class Modes(Cosines):
         return self.field(self.foot * waves)
 
     def split(self, field: Float) -> tuple[Float, Float]:
-        """Split a field (c, ny, nx) into a smooth part (c, ny, nx) and the cosine coefficients of the rest.
-        The smooth part (`edge_field`) has the field's slopes at the edges, reduced if they are noisy."""
+        """Split a field (c, ny, nx) into a smooth part (c, ny, nx) and cosine coefficients of the remainder.
+        The smooth part has the slopes of the field at the edges (`edge_field`), reduced if they are noisy."""
         edges = self._kept * edge_field(field)
         return edges, self.waves(field - edges)
 
     def factor(self, information: Float) -> Factor:
-        """Return the factorised preconditioner for `solve`, from the blocks' inverse variance (ny, nx)."""
+        """Return the factorised preconditioner for `solve`, from the inverse variance of blocks, (ny, nx)."""
         return self._preconditioner.factor(information)
 
     def tolerances(self, information: Float) -> tuple[float, float]:
-        """Return the tolerances of `solve` for the first evaluation of the images, and for later ones.
-        They are smaller if the blocks' inverse variance (ny, nx) has large holes, which converge last."""
+        """Return two tolerances for `solve`: at the first evaluation of the images, and at later ones.
+        They are smaller if the inverse variance of blocks (ny, nx) has large holes, which converge last."""
         hole = hole_mask(information, self.prior.information) & self._requested
         return TOLERANCES_WITH_HOLES if cv2.erode(hole.view(np.uint8), HOLE_KERNEL).any() else TOLERANCES
 
@@ -323,12 +323,12 @@ class Modes(Cosines):
         factor: Factor,
         block_mean: Float | None = None,
     ) -> Float:
-        """Solve (F A F + 1/S) f = F b by conjugate gradients from `start` (c, my, mx); return f (c, my, mx).
+        """Return the solution f (c, my, mx) of (F A F + 1/S) f = F b by conjugate gradients from `start`.
 
         `information` is A, (1, ny, nx), or (3, ny, nx) with xx, xy, yy for two components. `right` (c, ny,
         nx) is b = A u + s / nu, with the matched field u minus its smooth part, the scores s and their noise
-        nu. `factor` comes from `Modes.factor`; `block_mean` is that of `start`, computed if None. The
-        iteration stops when the rms residual is below `tolerance` standard uncertainties.
+        nu. `factor` comes from `Modes.factor`; `block_mean` is the block mean of `start` (None: computed).
+        The iteration stops when the rms residual is below `tolerance` standard uncertainties.
         """
         a, c = information, len(right)
         block_mean = self.block_mean(start) if block_mean is None else block_mean
@@ -357,7 +357,7 @@ class Modes(Cosines):
 
 
 def _apply_information(a: Float, field: Float) -> Float:
-    """Return A times a field (c, ny, nx).
+    """Return A f for a field f (c, ny, nx), with the inverse variance A of each block.
     A is (1, ny, nx) for one component, and (3, ny, nx) with xx, xy, yy for two."""
     if len(field) == 1:
         return a * field
@@ -367,7 +367,7 @@ def _apply_information(a: Float, field: Float) -> Float:
 
 @reassociating
 def _apply_prior(foot: Float, inverse: Float, direction: Float, image: Float) -> F:
-    """Replace A F p in `image` by (F A F + 1/S) p, in place; return its inner product with p.
+    """Replace A F p in `image` by q = (F A F + 1/S) p, in place; return the inner product of q and p.
     p is `direction`, `foot` is F and `inverse` 1/S; all arrays are flat."""
     total = F(0)
     for i in range(len(image)):
@@ -394,14 +394,14 @@ def _update_direction(ratio: F, step: Float, direction: Float) -> None:
 
 def _freedom(gain: Float) -> float:
     """Return the fraction, at least 0.2, of the variance of scores (gradient times residual) left by a fit.
-    Scores are summed over 5 x 5 blocks; `gain` (ny, nx) is that of the MAP field in every cosine mode."""
+    Scores are summed over 5 x 5 blocks; `gain` (ny, nx) is the gain of the MAP field in each cosine mode."""
     rows, columns = (_box(n) for n in gain.shape)
     power = np.square(rows[:, None] * columns)
     return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
 
 
 def _box(n: int) -> NDArray[np.float64]:
-    """Return the gain of the sum over 5 blocks (a cluster) along one axis, for n cosine modes, (n,)."""
+    """Return the factors (n,) by which a sum over 5 blocks along an axis multiplies n cosine modes."""
     m = np.arange(1, CLUSTER // 2 + 1)[:, None]
     return np.asarray(1.0 + 2.0 * np.cos(m * np.pi * np.arange(n) / n).sum(axis=0))
 
@@ -412,7 +412,7 @@ def _box(n: int) -> NDArray[np.float64]:
 
 
 def edge_field(field: Float) -> Float:
-    """Return a smooth field (c, ny, nx) with the slopes of `field` (c, ny, nx) at the four edges.
+    """Return a smooth field with the same slopes at the four edges as `field`; both are (c, ny, nx).
     It decays exponentially inwards. `field` must have no holes."""
     field = np.asarray(field, np.float32)
     out = _with_slopes_along_x(field)
@@ -422,7 +422,7 @@ def edge_field(field: Float) -> Float:
 
 
 def _with_slopes_along_x(field: Float) -> Float:
-    """Return a field (c, ny, nx) with the slopes along x of `field` at the first and the last column.
+    """Return a field (c, ny, nx) with the slopes d/dx of `field` at the first and the last column.
     The slopes are smoothed along y."""
     fit, profile, smoother = _tables(*field.shape[1:])
     first, last = field[..., :EDGE_REACH] @ fit @ smoother, field[..., -EDGE_REACH:] @ fit @ smoother
@@ -431,7 +431,7 @@ def _with_slopes_along_x(field: Float) -> Float:
 
 @lru_cache(maxsize=16)
 def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
-    """Return weights (6,) to fit an edge slope, an exponential (nx,) of end slope 1, a smoother (ny, ny)."""
+    """Return tables for edge slopes: fit weights (6,), exponential (nx,) of slope 1, smoother (ny, ny)."""
     t = np.arange(EDGE_REACH, dtype=np.float32) - np.float32((EDGE_REACH - 1) / 2)
     profile = EDGE_REACH * np.exp((np.arange(nx) + 0.5 - nx) / EDGE_REACH)
     modes = cosines(ny, ny)
@@ -441,9 +441,9 @@ def _tables(ny: int, nx: int) -> tuple[Float, Float, Float]:
 
 
 class Preconditioner:
-    """Preconditioner of `Modes.solve`: exact for the 300 strongest modes, diagonal for the others.
-    `lattice` is (ny, nx). `ratio` (my, mx) is signal over noise, `inverse` (my, mx) is 1/S, and `foot` (my,
-    mx) the gain of averaging over a block."""
+    """Preconditioner of `Modes.solve`: exact for the 300 strongest modes, diagonal for all others.
+    `lattice` is (ny, nx). `ratio` (my, mx) is the signal-to-noise ratio, `inverse` (my, mx) is 1/S, and
+    `foot` (my, mx) the gain of averaging over a block."""
 
     def __init__(self, lattice: tuple[int, int], ratio: Float, inverse: Float, foot: Float) -> None:
         count = min(EXACT_MODES, ratio.size)
@@ -465,7 +465,7 @@ class Preconditioner:
         self._positions = {c: (line * c + np.arange(c)[:, None]) * half + self._ix // 2 for c in (1, 2)}
 
     def factor(self, information: Float) -> Factor:
-        """Return Cholesky factor (n, n) and scaling (n,) of the n strongest modes, from A = `information`."""
+        """Return Cholesky factor (n, n) and scaling (n,) of the n strongest modes; A is `information`."""
         table = self._sum_rows @ information @ self._sum_columns
         scale = 1.0 / np.sqrt(self._own_inverse + self._square * F(information.mean()))
         count = self._norm.size
@@ -477,9 +477,9 @@ class Preconditioner:
         return lower, scale.astype(np.float32)
 
     def apply(self, residual: Float, diagonal: Float, factor: Factor, out: Float) -> float:
-        """Write the preconditioned residual to `out`; return its inner product with the residual.
-        Arrays are ordered as by `Cosines.split_parities`. `diagonal` multiplies the weaker modes; `factor`,
-        from the method of this name, solves for the strongest."""
+        """Write the preconditioned residual to `out`; return the inner product of `out` and `residual`.
+        Arrays are ordered as by `Cosines.split_parities`. The weaker modes are multiplied by `diagonal`, the
+        strongest are solved exactly with `factor`, from the method of that name."""
         lower, scale = factor
         positions = self._positions[residual.shape[3]]
         gathered = np.empty(positions.shape, F)
@@ -492,7 +492,7 @@ class Preconditioner:
 
 @reassociating
 def _gather(residual: Float, positions: Float, scale: Float, out: Float) -> None:
-    """Write the residual of the strongest modes times `scale` (modes,) to out (c, modes).
+    """Write `residual` times `scale` (modes,), for the strongest modes only, to out (c, modes).
     `positions` (c, modes) are the positions of these modes in the flat `residual`."""
     for n in range(len(positions)):
         for k in range(len(scale)):
@@ -519,8 +519,8 @@ def _preconditioned(
 @in_order
 def _assemble(table: Float, iy: Float, ix: Float, norm: Float, own: Float, out: Float) -> None:
     """Write the lower triangle of the scaled matrix F A F + 1/S of the strongest modes (iy, ix) to `out`.
-    `table` holds sums of A times cosines; they suffice, because a product of cosines is a sum of cosines.
-    `norm` has F and the scaling of each mode, `own` the scaled 1/S."""
+    `table` holds sums over blocks of A times cosines, which suffice because a product of cosines is a sum of
+    cosines. `norm` is F times the scaling of each mode, `own` is 1/S times the scaling squared."""
     for p in range(iy.size):
         for q in range(p + 1):
             y0, y1 = abs(iy[p] - iy[q]), iy[p] + iy[q]

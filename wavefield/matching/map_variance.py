@@ -1,4 +1,4 @@
-"""Posterior variance of the MAP field at each block, from the information in its surroundings."""
+"""Posterior variance of the MAP field at each block, from the inverse variances of the blocks around it."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ MIN_WAVE_FRACTION = 1e-3  # lower bound of the fraction that is waves, which kee
 class PosteriorVariance:
     """Variance of the MAP field on a lattice (ny, nx): from noise, and from waves that the prior suppresses.
 
-    With uniform information A, footprint F and spectrum S, each mode contributes F^2 A / (F^2 A + 1/S)^2 of
-    noise, and of suppressed waves 1/S / (F^2 A + 1/S)^2 times the fraction of S that is waves. If A varies,
-    each block gets the variances for the mean of A around it, weighted by the squared impulse response of the
-    estimate. Inside holes, the variance of suppressed waves is at least `hole_variance`.
+    With uniform information A, footprint F and spectrum S, each mode adds F^2 A / (F^2 A + 1/S)^2 to the
+    variance from noise. To that from suppressed waves it adds 1/S / (F^2 A + 1/S)^2 times the fraction of S
+    that is waves. If A varies, a block gets the variances for the mean of A around it, weighted by the
+    squared impulse response of the estimate. Inside holes, suppressed waves add at least `hole_variance`.
     """
 
     def __init__(self, prior: Prior, shape: tuple[int, int]) -> None:
@@ -65,7 +65,7 @@ class PosteriorVariance:
         return [hole_variance(one) for one in self._spectrum]
 
     def __call__(self, information: Float) -> tuple[Float, Float]:
-        """Return the variances from noise and from suppressed waves, (c, ny, nx), in squared field units.
+        """Return variances from noise and from suppressed waves, (c, ny, nx) each, in squared field units.
         `information` (ny, nx) is the inverse variance of the value of each block."""
         waves = self._forward[0] @ (information @ self._forward[1])
         x = self._inverse[0] @ ((self._kernels * waves) @ self._inverse[1])
@@ -88,7 +88,7 @@ class PosteriorVariance:
         return noise, missing
 
     def _to_full_lattice(self, some: Float) -> Float:
-        """Interpolate a field `some`, given at every fourth block, to all blocks, (ny, nx)."""
+        """Interpolate a field `some`, with values at every fourth block, to all blocks, (ny, nx)."""
         ny, nx = self.shape
         scale = np.array([[EVERY, 0.0, 0], [0, EVERY, 0.0]])
         return cv2.warpAffine(some, scale, (nx, ny), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -96,10 +96,9 @@ class PosteriorVariance:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
-    """Write n variances of each block to out (n, ny, nx), interpolated in a table over mean information.
-    `log` (levels,) are the logarithms of tabulated information, `variance` (n, levels) those of the
-    variances. x (levels, ny, nx) is the mean by the kernel of each level; the level that equals its own mean
-    is used."""
+    """Write n variances of each block to out (n, ny, nx), interpolated in a table over inverse variance A.
+    `log` (levels,) is log A in the table, `variance` (n, levels) the log variance. x (levels, ny, nx) is the
+    mean of A around each block, with one kernel per level; the level that equals its own mean is used."""
     for j in range(x.shape[1]):
         for i in range(x.shape[2]):
             previous = np.log(max(x[0, j, i], F(1e-30))) - log[0]
@@ -115,12 +114,12 @@ def _at_level(x: Float, log: Float, variance: Float, out: Float) -> None:
 
 
 def _impulse(gain: Float) -> Float:
-    """Return a quarter (ny + 1, nx + 1) of the even impulse response of a filter with gains (ny, nx)."""
+    """Return the impulse response of a filter with gains (ny, nx): one even quadrant, (ny + 1, nx + 1)."""
     return np.asarray(scipy.fft.dctn(np.pad(gain, (0, 1)), type=1) / (4 * gain.size))
 
 
 def _squared_response(gain: Float) -> Float:
-    """Return the gains of the squared impulse response of a filter with `gain`, (ny, nx), 1 at k = 0."""
+    """Return gains (ny, nx), 1 at k = 0, of the filter with the squared impulse response of `gain`."""
     out: Float = scipy.fft.dctn(_impulse(gain) ** 2, type=1)[:-1, :-1]
     out /= out[0, 0]
     return out

@@ -1,4 +1,4 @@
-"""Displacements of large image patches by normalised correlation, far beyond the range of `match`."""
+"""Displacements of large image patches by normalised correlation, far beyond the search range of `match`."""
 
 from typing import Any
 
@@ -58,7 +58,7 @@ def _correlations(patch: Float, around: Float) -> Float:
 
 
 def _found(a: Float, b: Float, at: tuple[int, int], reach: tuple[int, int]) -> tuple[float, float]:
-    """Return the displacement (x, y), px, from a to b of the patch at column and row `at` (halved images).
+    """Return the displacement (x, y) from a to b, px of halved images, of the patch at column and row `at`.
     It is NaN if no correlation within `reach` (x, y) exceeds MIN_CORRELATION, or if two are about equal."""
     size = PATCH_PX // 2
     x0, y0 = max(0, at[0] - reach[0]), max(0, at[1] - reach[1])
@@ -73,8 +73,8 @@ def _found(a: Float, b: Float, at: tuple[int, int], reach: tuple[int, int]) -> t
 
 def locate(patch: Float, around: Float) -> tuple[float, float, float]:
     """Return the column and row where a patch fits best into the image `around`, and the correlation there.
-    Column and row are those of the patch's first pixel, with fractions. They are NaN if the largest
-    correlation lies at the border of the image."""
+    Column and row, with fractions, are of the patch's first pixel. They are NaN if the largest correlation
+    lies at the border."""
     correlations = _correlations(patch, around)
     _, best, _, (column, row) = cv2.minMaxLoc(correlations)
     if not (0 < row < correlations.shape[0] - 1 and 0 < column < correlations.shape[1] - 1):
@@ -86,7 +86,7 @@ def locate(patch: Float, around: Float) -> tuple[float, float, float]:
 
 def confirmed(moved: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rows of `moved`, displacements (m, 2) of patches in px, that agree with another row.
-    Two displacements agree if they differ by less than 12 px plus 25 % of their length. NaN are left out."""
+    Two displacements agree if they differ by less than 12 px plus 25 % of their length. NaN never agree."""
     moved = moved[np.isfinite(moved[:, 0])]
     apart = np.hypot(*(moved[:, None] - moved).T) - TOLERANCE_PX - 0.25 * np.hypot(*moved.T)
     return np.asarray(moved[(apart < 0).sum(axis=0) > 1])

@@ -1,4 +1,4 @@
-"""Preparation of an image, once for all its matches: mask, local normalisation, pyramid.
+"""Preparation of an image, once for all matches in which it takes part: mask, local normalisation, pyramid.
 
 Local normalisation gives every part of the image zero mean and unit variance, within a Gaussian window with
 the standard deviation `MatchSettings.normalization`, px. Means over this window are computed from sums over
@@ -42,7 +42,7 @@ njit = compiled(fastmath={"contract"}, error_model="numpy")
 
 @dataclass(frozen=True)
 class Level:
-    """One pyramid level of a prepared image, with sums over its blocks that are computed at first use."""
+    """One pyramid level of a prepared image; sums over its blocks are computed when first needed."""
 
     padded: np.ndarray  # (h + 2 PAD, w + 2 PAD): the image with replicated border
     # (h, w): 1 where all pixels of a block around this pixel are usable; shape (0, 0) if nothing is masked
@@ -50,7 +50,7 @@ class Level:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Height and width, px."""
+        """Height and width of the image on this level, px."""
         return self.padded.shape[0] - 2 * PAD, self.padded.shape[1] - 2 * PAD
 
     @property
@@ -79,8 +79,8 @@ class Level:
 
     @cached_property
     def beads(self) -> tuple[np.ndarray, np.ndarray]:
-        """Block to which the bead around each pixel belongs, (h, w), and Hessians of such beads, (3, ny, nx).
-        This is the block with the brightest point of the bead; blocks are numbered row by row."""
+        """Return the block of the bead at each pixel, (h, w), and Hessians summed over beads, (3, ny, nx).
+        A bead belongs to the block with its brightest point; blocks are numbered row by row."""
         ny, nx = self.blocks
         h, w = ny * BLOCK, nx * BLOCK
         smooth = cv2.GaussianBlur(self.padded, (0, 0), NOISE_BLUR_PX)
@@ -194,8 +194,8 @@ def prepare(
 
 
 def level_count(shape: tuple[int, ...], levels: int) -> int:
-    """Return the number of pyramid levels for an image of this shape (h, w), at most `levels`.
-    The coarsest level is at least 40 px wide and high."""
+    """Return the number of pyramid levels, at most `levels`, for an image with the shape (h, w).
+    The side of the coarsest level is at least 40 px, unless the image itself is smaller."""
     side = min(shape)
     while levels > 1 and side >> (levels - 1) < MIN_LEVEL_SIDE:
         levels -= 1
@@ -205,8 +205,8 @@ def level_count(shape: tuple[int, ...], levels: int) -> int:
 def _normalize(
     image: np.ndarray, mask: Mask | None, settings: MatchSettings, padded: np.ndarray
 ) -> Mask | None:
-    """Write the normalised image inside the border of `padded`; return the mask, None if all is usable.
-    The returned mask also excludes saturated pixels and those that are not finite."""
+    """Write the normalised image into `padded`, inside its border; return the mask extended by bad pixels.
+    Bad pixels are saturated or not finite. The mask is None if all pixels are usable."""
     width = settings.normalization
     cells = NormalizationCells(image, width, None if mask is None else mask.good)
     if not cells.finite and not (finite := np.isfinite(image)).all():
@@ -220,13 +220,13 @@ def _normalize(
 
 
 def _excluding(bad: np.ndarray, mask: Mask | None, settings: MatchSettings) -> Mask:
-    """Return a mask that also excludes the pixels `bad` (h, w); a `mask` of None excludes none."""
+    """Return `mask` (None: all pixels usable) with the pixels where `bad` (h, w) is True made unusable."""
     return Mask.of(~bad if mask is None else (mask.good != 0) & ~bad, settings)
 
 
 def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.ndarray | None:
-    """Return a mask (h, w), True in uniform patches of at least 5 x 5 px at the largest value; None if none.
-    `columns` are the numbers of the columns that contain the `largest` value."""
+    """Return a mask (h, w), True in uniform patches of at least 5 x 5 px at the `largest` value.
+    It is None if there is no such patch. `columns` are the numbers of the columns that contain the value."""
     # every patch contains one pixel of a grid whose step is the side of the smallest patch
     columns = columns[columns % BLOCK == BLOCK - 1]
     if largest <= 0 or not (image[BLOCK - 1 :: BLOCK, columns] == largest).any():
@@ -238,7 +238,7 @@ def _saturated(image: np.ndarray, largest: float, columns: np.ndarray) -> np.nda
 
 
 def _usable_blocks(good: np.ndarray, level: int) -> np.ndarray:
-    """Return 1 for pixels around which a whole block is usable, else 0, (h, w).
+    """Return an array (h, w), 1 for pixels around which a whole block is usable, else 0.
     On level 0, a margin of two pixels around the block must be usable as well."""
     side = BLOCK + 4 if level == 0 else BLOCK
     return cv2.erode(good, np.ones((side, side), np.uint8), borderType=cv2.BORDER_REPLICATE)
@@ -249,7 +249,7 @@ def _usable_blocks(good: np.ndarray, level: int) -> np.ndarray:
 
 @njit
 def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
-    """Write sums of each `side` neighbours in the first `count` elements of a row to `out`.
+    """Write sums of groups of `side` neighbouring elements, among the first `count` of a row, to `out`.
     The last sum includes the elements that are left over."""
     n = len(out)
     if side == 8:  # the usual side, in a form that vectorises
@@ -268,7 +268,7 @@ def _fold(row: np.ndarray, count: int, side: int, out: np.ndarray) -> None:
 
 @njit
 def _add_row(row: np.ndarray, usable: np.ndarray, s: np.ndarray, t: np.ndarray, top: np.ndarray) -> None:
-    """Add a row of pixels to sums s and to sums of squares t of each column, and update the maxima `top`.
+    """Add a row of pixels to the column sums s, their squares to t, and update the column maxima `top`.
     Pixels with `usable` 0 count as 0."""
     for x in range(len(row)):
         v = F(row[x]) if usable[x] != 0 else F(0)
@@ -279,7 +279,7 @@ def _add_row(row: np.ndarray, usable: np.ndarray, s: np.ndarray, t: np.ndarray, 
 
 @njit
 def _cell_sums(image: np.ndarray, usable: np.ndarray, side: int, rows: np.ndarray, out: np.ndarray) -> None:
-    """Write sums of pixels and of squared pixels over cells of `side` x `side` px to out (2, ny, nx).
+    """Write sums of pixels, then of squared pixels, over cells of `side` x `side` px to out (2, ny, nx).
     rows[2] receives the largest pixel of each column. Pixels with `usable` 0 count as 0."""
     h, w = image.shape
     ny = out.shape[1]
@@ -306,7 +306,7 @@ def _normalize_row(
     out: np.ndarray,
 ) -> None:
     """Write (row - mean) * scale to `out`, and 0 where `usable` is 0.
-    Mean and scale are interpolated, a fraction t of the way from m0, s0 (a row of cells) to m1, s1."""
+    Mean and scale lie between two rows of cells: m0 and s0 for t = 0, m1 and s1 for t = 1."""
     for x in range(len(row)):
         mean = m0[x] + t * (m1[x] - m0[x])
         scale = s0[x] + t * (s1[x] - s0[x])
@@ -318,7 +318,7 @@ def _normalize_image(
     image: np.ndarray, usable: np.ndarray, mean: np.ndarray, scale: np.ndarray, side: int, out: np.ndarray
 ) -> None:
     """Write (image - mean) * scale inside the border of `out`; pixels with `usable` 0 become 0.
-    `mean` and `scale` (ny, w) are given for each row of cells of `side` px, at every column."""
+    `mean` and `scale` (ny, w) are given for each row of cells of `side` px, at every pixel column."""
     ny, (h, w) = len(mean), image.shape
     border = (len(out) - h) // 2
     for y in range(h):
@@ -330,9 +330,9 @@ def _normalize_image(
 
 
 class NormalizationCells:
-    """Sums over the cells of an image (h, w), for local means in a Gaussian window of `width` px.
-    `largest` is the largest pixel and `brightest` the columns that contain it; `finite` is False if any pixel
-    is not finite. `usable` (h, w) is 1 for pixels that count; None: all."""
+    """Sums over square cells of an image (h, w), for local means in a Gaussian window of `width` px.
+    `largest` is the largest pixel, `brightest` the numbers of the columns that contain it; `finite` is False
+    if any pixel is not finite. `usable` (h, w) is 1 for pixels that count; None: all."""
 
     def __init__(self, image: np.ndarray, width: float, usable: np.ndarray | None = None) -> None:
         self.image, self.width = np.ascontiguousarray(image), max(width, 1.0)
@@ -348,7 +348,7 @@ class NormalizationCells:
         self.finite = bool(np.isfinite(self.sums[0].sum()))
 
     def local(self, number: int) -> np.ndarray:
-        """Return the mean over the window of pixels (number 0) or of squared pixels (number 1), (ny, nx)."""
+        """Return the window mean of pixels (`number` 0) or squared pixels (1) at each cell, (ny, nx)."""
         mean = self.sums[number] * _inverse_area(self.image.shape, self.side)
         # subtract the blur that is there already: 1/12 by averaging over cells, 1/6 by linear interpolation
         sigma = np.sqrt((self.width / self.side) ** 2 - 0.25)
@@ -371,7 +371,7 @@ class NormalizationCells:
         _normalize_image(self.image, self.usable, self._spread(mean), self._spread(scale), self.side, out)
 
     def _spread(self, field: np.ndarray) -> np.ndarray:
-        """Interpolate a field on the cells (ny, nx) along its rows to pixels, (ny, w)."""
+        """Return values at cells (ny, nx), interpolated along x to every pixel column, (ny, w)."""
         if self.side == 1:
             return field
         ny, nx = field.shape
@@ -383,7 +383,7 @@ class NormalizationCells:
 
 
 def _side(h: int, w: int, width: float) -> int:
-    """Return the side of the cells, px: 8, 4, 2 or 1, at most `width` and an eighth of the sides h, w."""
+    """Return the side of the cells, px: 8, 4, 2 or 1, at most `width` and an eighth of h and of w."""
     side = MAX_CELL_SIDE
     while side > 1 and (width < side or min(h, w) < 8 * side):
         side //= 2

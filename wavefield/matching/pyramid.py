@@ -108,7 +108,7 @@ def match(
 
 
 def _coarse(a: PreparedImage, b: PreparedImage, settings: MatchSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Return u and v (ny, nx), px, on the finest lattice, as found on the coarser levels alone.
+    """Return the displacement u, v (ny, nx), px of the finest level, from the coarser levels alone.
     The coarsest level starts from a search over the ranges of the settings, or from 0 without ranges."""
     top = min(len(a.levels), settings.levels) - 1
     u = v = np.zeros(a.levels[top].blocks, np.float32)
@@ -126,7 +126,7 @@ def _coarse(a: PreparedImage, b: PreparedImage, settings: MatchSettings) -> tupl
 
 
 def _prepared(image: np.ndarray | PreparedImage, settings: MatchSettings) -> PreparedImage:
-    """Return an image prepared for these settings; ValueError if it was prepared for others."""
+    """Return an image prepared for these settings. Raise ValueError if it was prepared for other settings."""
     if not isinstance(image, PreparedImage):
         return prepare(image, settings)
     levels = level_count(image.shape, settings.levels)
@@ -140,8 +140,8 @@ def _prepared(image: np.ndarray | PreparedImage, settings: MatchSettings) -> Pre
 
 
 class _LevelPair:
-    """Two images on one pyramid level: holds the weights of their blocks and takes the Gauss-Newton steps.
-    `sigma` is the width of the smoother, in blocks."""
+    """Two images on one pyramid level, with the weights of their blocks and the Gauss-Newton step.
+    `sigma` is the standard deviation of the smoother, in blocks."""
 
     def __init__(self, a: Level, b: Level, sigma: float, settings: MatchSettings) -> None:
         self.a, self.b, self.sigma, self.settings = a, b, sigma, settings
@@ -153,8 +153,8 @@ class _LevelPair:
         self._hessian: np.ndarray | None = None
 
     def update_weights(self, u: np.ndarray, v: np.ndarray) -> None:
-        """Update the block weights for a displacement u, v (ny, nx), px.
-        If they change, the stored Hessian is dropped."""
+        """Compute the block weights (1: usable, 0: not) at a displacement u, v (ny, nx), px.
+        If a weight changes, the stored Hessian is dropped."""
         count = np.empty(u.shape, np.float32)
         block_weights(self.a.good, self.b.good, u, v, *self.b.shape, count)
         if np.array_equal(count, self.count):
@@ -166,7 +166,7 @@ class _LevelPair:
 
     @property
     def hessian(self) -> np.ndarray:
-        """Sums of gx gx, gx gy, gy gy of image a over windows, (3, ny, nx); stored until weights change."""
+        """Window averages of gx gx, gx gy, gy gy of image a, (3, ny, nx); stored until weights change."""
         if self._hessian is None:
             self._hessian = self.windows(self.a.moments[:3] * self.count)
         return self._hessian
@@ -182,7 +182,7 @@ class _LevelPair:
         self, u: np.ndarray, v: np.ndarray, score: np.ndarray, number: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Take a Gauss-Newton step, replace outliers and smooth; return new u, v and the mask of outliers.
-        `score` (2, ny, nx) is averaged over windows; `number` counts the steps of this level from 0."""
+        `score` (2, ny, nx) is the window average of gradient times residual; `number` counts steps from 0."""
         hessian = self.hessian
         u, v = u.copy(), v.copy()
         ridge = F(RIDGE_FRACTION) * F(hessian[0].mean() + hessian[2].mean()) + F(1e-12)
@@ -200,7 +200,7 @@ def _slopes(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 def _last_sums(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Return the sums of `final_sums`, (12, ny, nx), with the Hessian of image a in planes 2 to 4.
-    `slope` (4, ny, nx) are the gradients of u, v (ny, nx), px. Sums are 0 in blocks that are not usable."""
+    `slope` (4, ny, nx) are the gradients of u, v (ny, nx), px. The sums of unusable blocks are 0."""
     pair.update_weights(u, v)
     sums = np.empty((12, *u.shape), np.float32)
     final_sums(pair.a.padded, pair.b.padded, u, v, slope, pair.work, sums)
@@ -210,7 +210,7 @@ def _last_sums(pair: _LevelPair, u: np.ndarray, v: np.ndarray, slope: np.ndarray
 
 
 def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Take `count` Gauss-Newton steps from u, v (ny, nx), px; return u, v. Blocks are not assessed."""
+    """Return the displacement after `count` Gauss-Newton steps from u, v (ny, nx), px."""
     for number in range(count):
         pair.update_weights(u, v)
         sums = np.empty((2, *u.shape), np.float32)
@@ -225,14 +225,14 @@ def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> 
 def reevaluate(
     a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray, settings: MatchSettings
 ) -> Displacement:
-    """Compute scores, Hessians and validity of the blocks again, at the displacement u, v (ny, nx), px.
+    """Return scores, Hessians and validity of the blocks at a given displacement u, v (ny, nx), px.
 
     A displacement with gradients e_jk = du_j/dx_k strains the sampled images of beads, while real beads keep
     their shape. The residual a - b of beads then contains e_jj a + s^2 e_jk a_jk, with second derivatives
     a_jk of image a and the variance s^2 of a bead's image (for a blurred texture, only the second term). A
-    complete bead adds nothing to the score, but a bead that is cut by the edge of a block does. Therefore c
-    e_jj a + s^2 e_jk a_jk, with 0 < c < 1, is fitted to the scores and subtracted. Repeated indices are
-    summed.
+    complete bead adds nothing to the score (gradient times residual), but a bead that is cut by the edge of a
+    block does. Therefore c e_jj a + s^2 e_jk a_jk, with 0 <= c <= 1, is fitted to the scores and subtracted.
+    Repeated indices are summed.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], settings.smoother_sigma, settings)
     slope = _slopes(u, v)
@@ -245,11 +245,11 @@ def reevaluate(
 def scores_at(
     found: Displacement, a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray
 ) -> Displacement:
-    """Return the match `found` of two cameras with scores and Hessians at a new u, v (ny, nx), px.
+    """Return the match `found` of two cameras with scores and Hessians at a displacement u, v (ny, nx), px.
 
     A bead differs in brightness between cameras, so a block with a part of a bead would appear displaced.
     Every pixel therefore counts in the block that contains the brightest point of its bead. The validity of
-    the blocks stays that of `found`; scores and Hessians are 0 in unusable blocks and in the eight around
+    the blocks is that of `found`. Scores and Hessians are 0 in unusable blocks and the eight blocks around
     each.
     """
     pair = _LevelPair(a.levels[0], b.levels[0], found.settings.smoother_sigma, found.settings)
@@ -268,7 +268,7 @@ def scores_at(
 def _search(
     a: Level, b: Level, x_range: tuple[int, int], y_range: tuple[int, int], settings: MatchSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return u and v (ny, nx), px, from a search over whole-pixel shifts, refined by parabolas.
+    """Return the displacement u, v (ny, nx), px, from a search over whole-pixel shifts, refined by parabolas.
     `x_range` and `y_range` are the first and the last shift, px of this level."""
     ny, nx = a.blocks
     w = nx * BLOCK
@@ -291,7 +291,7 @@ def _search(
 
 
 def _peaks(correlation: np.ndarray, border: int, first_x: int, first_y: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the shifts u, v (ny, nx), px, of largest correlation for each block, refined by parabolas.
+    """Return the shift u, v (ny, nx), px, of largest correlation for each block, refined by parabolas.
     `correlation` is (row shifts, ny, column shifts, nx + 2 border), for shifts from first_x, first_y on."""
     rows, ny, n, width = correlation.shape
     nx = width - 2 * border
@@ -314,8 +314,8 @@ def _peaks(correlation: np.ndarray, border: int, first_x: int, first_y: int) -> 
 def _assess(
     pair: _LevelPair, u: np.ndarray, v: np.ndarray, sums: np.ndarray, step: np.ndarray, outlier: np.ndarray
 ) -> Displacement:
-    """Return the displacement u, v (ny, nx), px, with the correlation, scores and validity of its blocks.
-    `sums` (12, ny, nx) are those of `_last_sums` before the last `step` (2, ny, nx), px, to u, v. `outlier`
+    """Return a match with displacement u, v (ny, nx), px, and correlation, score and validity of its blocks.
+    `sums` (12, ny, nx) come from `_last_sums`, before `step` (2, ny, nx), px, was added to u, v. `outlier`
     (ny, nx) is True where the median of the neighbours replaced the displacement."""
     windowed = pair.windows(sums[5:])
     correlation, energy = _correlation(windowed, pair.coverage)
@@ -332,7 +332,8 @@ def _assess(
 
 def _correlation(windowed: np.ndarray, coverage: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the normalised correlation and the gradient energy ga gb of windows, each (ny, nx).
-    `windowed` (7, ny, nx) has the moments of `_strip_sums`, `coverage` (ny, nx) the usable fraction."""
+    `windowed` (7, ny, nx) are window averages of the sums of `_strip_sums`, with gradients ga, gb of the two
+    images; `coverage` (ny, nx) is the usable fraction of each window."""
     rr, sa, aa, sr, ar, ab = windowed[:6]
     power = float(aa.mean() / F(BLOCK * BLOCK))
     least = F((1e-4 * power + 1e-12) ** 2)

@@ -86,12 +86,12 @@ class MatchSettings:
 
     @classmethod
     def piv(cls, **changes: Any) -> MatchSettings:
-        """Return settings for one camera, from one frame to the next: the defaults with these changes."""
+        """Return settings to match successive frames of one camera: the defaults, with these `changes`."""
         return replace(cls(), **changes)
 
     @classmethod
     def stereo(cls, **changes: Any) -> MatchSettings:
-        """Return settings for two cameras at one instant (large, smooth parallax), with these changes."""
+        """Return settings to match frames of two cameras (large, smooth parallax), with these `changes`."""
         return replace(
             cls(
                 iterations=(3, 3, 3, 3),
@@ -108,7 +108,7 @@ class MatchSettings:
 
 
 class Reason(IntFlag):
-    """Why a block is not valid: bits of `Displacement.reason`."""
+    """Reasons why a block is not valid, as bits that are added in `Displacement.reason`."""
 
     VALID = 0
     MASKED = 1  # masked, saturated or NaN pixels in the block in a, or at its position in b

@@ -1,10 +1,10 @@
 """Prior spectrum of a field on a lattice of blocks, and how it is learned from sample frames.
 
 The prior is learned once per run and stored with the results, so that all frames are weighted alike.
-`first_prior` takes the spectrum of the matched fields. `refined_prior` estimates the MAP fields' spectrum,
-with their noise subtracted, and is called several times in turn with the MAP estimate. Wavenumbers are in rad
-per block: a wave as long as two blocks has the wavenumber pi. They are grouped in rings, and rings in sectors
-of direction (`WavenumberRings`). A ring is significant if its power stands out from the noise.
+`first_prior` takes the spectrum of the matched fields. `refined_prior` estimates the spectrum of MAP fields,
+without noise, and is called several times in turn with the MAP estimate. Wavenumbers are in rad per block: a
+wave as long as two blocks has the wavenumber pi. They are grouped in rings (bins of |k|), and rings in
+sectors of direction. A ring is significant if its power stands out from the noise.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Prior:
     def isotropic(
         cls, k: Sequence[float], power: Sequence[float], information: float, area: float = FOOTPRINT_VARIANCE
     ) -> Prior:
-        """Return a prior with the same spectrum in all directions and for all components of a field.
+        """Return a prior with one spectrum, `power` at wavenumbers `k`, for all directions and components.
 
         >>> prior = Prior.isotropic((0.1, 1.0), (4.0, 4.0), 1.0)
         >>> prior.spectrum(np.array([0.3, 0.4]), np.array([[0.5]])).tolist()
@@ -97,7 +97,7 @@ class Prior:
         return footprint(kx, ky, self.area)
 
     def with_min_signal_to_noise(self, ratio: float) -> Prior:
-        """Return the prior, its spectrum raised to at least this signal-to-noise ratio below 2 rad per block.
+        """Return the prior with a signal-to-noise ratio of at least `ratio` up to 2 rad per block.
         A spectrum that is learned with too small a prior comes out too small as well."""
         k = np.array(self.k)
         least = ratio / (self.footprint(k, np.zeros(1)) ** 2 * self.information)
@@ -129,17 +129,18 @@ class Prior:
         return np.array([np.interp(np.hypot(kx, ky), self.k, one) for one in fraction])
 
     def signal_to_noise(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Return the ratio F^2 A S, (component, ...): footprint F, information A, spectrum S at kx, ky."""
+        """Return the ratio F^2 A S of signal to noise, (component, ...), at wavenumbers kx, ky (...)."""
         return np.asarray(self.footprint(kx, ky) ** 2 * self.information * self.spectrum(kx, ky))
 
     def gain(self, kx: Float, ky: Float) -> NDArray[np.float64]:
-        """Return the amplitude gain R / (R + 1) of the MAP field, (component, ...), R = `signal_to_noise`."""
+        """Return the amplitude gain R / (R + 1) of the MAP field, (component, ...); R = `signal_to_noise`."""
         ratio = self.signal_to_noise(kx, ky)
         return np.asarray(ratio / (ratio + 1.0))
 
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return two variances (component,) of a MAP field on a lattice (ny, nx): from waves, and from noise.
-        They are means of G^2 S and of G^2 / (F^2 A), with the gain G, over all modes but the constant one."""
+        """Return the variance of a MAP field from waves and its variance from noise, (component,) each.
+        They are means of G^2 S and G^2 / (F^2 A), with the gain G, over modes of a lattice (ny, nx) with k >
+        0."""
         kx, ky = wavenumbers(shape)
         squared_gain = np.square(self.gain(kx, ky))
         squared_gain[:, 0, 0] = 0.0
@@ -147,7 +148,7 @@ class Prior:
         return (squared_gain * self.spectrum(kx, ky)).mean(axis=(1, 2)), noise.mean(axis=(1, 2))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the prior as plain data (numbers, lists), to be stored with the results."""
+        """Return the prior as a dictionary of numbers and lists, to be stored with the results."""
         return {name: _nested(value, list) for name, value in asdict(self).items()}
 
     @classmethod
@@ -157,7 +158,7 @@ class Prior:
 
 
 def _nested(value: Any, kind: type[list[Any]] | type[tuple[Any, ...]]) -> Any:
-    """Return nested lists or tuples as nested lists, or as nested tuples; other values as they are."""
+    """Return nested lists or tuples with every level converted to `kind`; other values unchanged."""
     return kind(_nested(one, kind) for one in value) if isinstance(value, list | tuple) else value
 
 
@@ -168,9 +169,9 @@ def wavenumbers(shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np
 
 
 class WavenumberRings:
-    """Rings (bins of wavenumber) of modes kx (mx,), ky (my, 1), each divided into six sectors of direction.
-    `middle` (rings,) are wavenumbers, rad per block; `count` (rings,) and `sector_count` (sectors, rings)
-    numbers of modes; `of_modes` (my, mx) is the ring of each mode."""
+    """Rings (bins of |k|) of the modes kx (mx,), ky (my, 1), each divided into six sectors of direction.
+    `middle` (rings,) is the middle wavenumber of a ring, rad per block; `count` (rings,) and `sector_count`
+    (sectors, rings) are numbers of modes; `of_modes` (my, mx) is the ring number of each mode."""
 
     def __init__(self, kx: Float, ky: Float) -> None:
         edges = np.linspace(0, np.pi, RINGS + 1)
@@ -183,24 +184,24 @@ class WavenumberRings:
         self.sector_count = np.bincount(self._sector, minlength=SECTORS * RINGS).reshape(SECTORS, RINGS)
 
     def mean(self, field: NDArray[Any]) -> NDArray[np.float64]:
-        """Return the mean over each ring, (rings,), of an array (my, mx) over the modes; 0 in empty rings."""
+        """Return the mean of an array (my, mx) over the modes of each ring, (rings,); 0 in empty rings."""
         total = np.bincount(self.of_modes.ravel(), field.ravel(), minlength=RINGS)
         return np.asarray(total / np.maximum(self.count, 1))
 
     def rings(self, fields: Float) -> NDArray[np.float64]:
-        """Return the mean over each ring, (c, rings), of arrays (c, my, mx) over the modes."""
+        """Return the mean of arrays (c, my, mx) over the modes of each ring, (c, rings); 0 in empty rings."""
         return np.array([self.mean(field) for field in fields])
 
     def sectors(self, fields: Float) -> NDArray[np.float64]:
-        """Return the mean over each sector of each ring, (c, sectors, rings), of arrays (c, my, mx)."""
+        """Return the mean of arrays (c, my, mx) in each sector of each ring, (c, sectors, rings)."""
         size = self.sector_count.size
         total = np.array([np.bincount(self._sector, field.ravel(), minlength=size) for field in fields])
         return np.asarray(total.reshape(-1, SECTORS, RINGS) / np.maximum(self.sector_count, 1))
 
     def significant(self, ratio: Float) -> NDArray[np.bool_]:
-        """Return a mask (rings,), True for rings whose `ratio` (rings,) of power to noise shows waves.
-        These are the first three rings; those before the first with a ratio below 0.3; and any ring below 2
-        rad per block in which the ratio exceeds 1.5, both alone and averaged with its two neighbours."""
+        """Return a mask (rings,), True where the `ratio` (rings,) of power to noise shows waves.
+        True are the first three rings, all rings before the first ratio of at most 0.3, and rings below 2 rad
+        per block with a ratio over 1.5, both alone and averaged with their two neighbours."""
         occupied = self.count > 0
         below = np.flatnonzero(~(occupied & (ratio > DETECTED_SIGNAL_TO_NOISE)))
         last = max(int(below.min(initial=RINGS)), 3)
@@ -210,8 +211,8 @@ class WavenumberRings:
         return np.asarray((np.arange(RINGS) < last) | beyond_gap)
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
-        """Return the ratio (rings,) of power to noise, averaged over five neighbouring rings.
-        The first four rings do not count, because they contain calibration errors."""
+        """Return the `ratio` (rings,) of power to noise, averaged over five neighbouring rings.
+        The first four rings are ignored, because they contain calibration errors."""
         count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
         total = np.convolve(ratio * count, np.ones(NOISE_RINGS), mode="same")
@@ -227,7 +228,7 @@ def footprint(kx: np.ndarray, ky: np.ndarray, variance: float = FOOTPRINT_VARIAN
 
 
 def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
-    """Average fields (c, ny, nx) around each block over an area of this variance along each axis, px^2."""
+    """Return fields (c, ny, nx) averaged around each block over an area of this variance per axis, px^2."""
     side = 0.5 * variance / BLOCK**2
     kernel = np.array([side, 1.0 - 2.0 * side, side])
     return np.stack(
@@ -237,8 +238,8 @@ def averaged(fields: np.ndarray, variance: float) -> np.ndarray:
 
 def displacement_area(bead_width: float) -> float:
     """Return the variance, px^2, of the area over which a block's displacement averages the motion.
-    The block adds 25/12, beads of width w, px, w^2 / 3 (measured with drawn beads of 1.5 to 4.2 px), and the
-    last part, RESTORED_VARIANCE, offsets the damping of short waves by the prior.
+    It is the sum of 25/12 for the block, w^2 / 3 for beads of width w = `bead_width`, px (measured with drawn
+    beads of 1.5 to 4.2 px), and RESTORED_VARIANCE, which offsets the damping of short waves by the prior.
 
     >>> [round(displacement_area(width), 2) for width in (1.5, 3.0)]
     [4.03, 6.28]
@@ -249,7 +250,7 @@ def displacement_area(bead_width: float) -> float:
 def first_prior(fields: Sequence[Float], information: float, area: float = FOOTPRINT_VARIANCE) -> Prior:
     """Return the isotropic prior with the mean spectrum of matched fields (c, ny, nx) from sample frames.
     The fields must have no holes and no slopes at the edges (`edge_field`). `information` is the typical
-    inverse variance of a block's value; `area`, px^2, is that of `Prior`."""
+    inverse variance of a block's value; `area`, px^2, is the variance of the area that the value averages."""
     binning = WavenumberRings(*wavenumbers(fields[0].shape[-2:]))
     waves = [scipy.fft.dctn(f.astype(np.float64), axes=(-2, -1), norm="ortho", workers=1) for f in fields]
     power = np.mean([np.square(one).mean(axis=0) for one in waves], axis=0)
@@ -268,11 +269,11 @@ def refined_prior(
     `waves` are the cosine coefficients D (c, my, mx) of these fields on a `lattice` of (ny, nx) blocks,
     `information` A the typical inverse variance of a block, F its footprint. With a spectrum S and noise N =
     1 / (F^2 A), a MAP field has the gain G = S / (S + N) and the power G^2 (S + N), so S = sum(|D|^2 - G^2 N)
-    / sum G^2 over the modes of a ring or of one of its sectors. In rings that do not stand out from the
-    noise, S is the upper limit of undetected waves; beyond the last ring that does, S is a power law.
-    Directions are averaged over neighbouring rings and drawn towards uniform where modes are few.
-    `noise_alone` are pairs (coefficients, information) of MAP fields that contain only noise. These give the
-    noise as a function of wavenumber; its magnitude comes from the rings with the lowest power.
+    / sum G^2 over the modes of a ring (a bin of |k|) or of one of its sectors of direction. In rings that do
+    not stand out from the noise, S is the upper limit of undetected waves. Beyond the last ring that stands
+    out, S is a power law. Directions are averaged over neighbouring rings and drawn towards uniform where
+    modes are few. `noise_alone` are pairs (coefficients, information) of MAP fields that contain only noise.
+    They give the noise as a function of wavenumber; its magnitude comes from the rings with the lowest power.
     """
     if not information > 0:  # no block has information
         return prior
@@ -311,9 +312,9 @@ def _signals_and_noise(
     binning: WavenumberRings,
     noise_alone: Sequence[tuple[Float, float]],
 ) -> tuple[Float, Float, Float]:
-    """Return the power of waves in rings (c, rings), in sectors (c, sectors, rings), and of noise in rings.
-    All three are divided by the squared gain of the MAP field. `foot` is the footprint F of every mode,
-    `spectrum` the old prior's; `refined_prior` describes the other arguments."""
+    """Return three powers: of waves in rings (c, rings), in sectors (c, sectors, rings), of noise in rings.
+    All are divided by the squared gain of the MAP field. `foot` is the footprint F of every mode, `spectrum`
+    that of the old prior; `refined_prior` describes the other arguments."""
 
     def block_noise(of: float) -> Float:
         """Return the noise variance N = 1 / (F^2 A) of every mode, for the information A = `of`."""
@@ -337,7 +338,7 @@ def _signals_and_noise(
 def _over_gain(
     fields: Sequence[Float], spectrum: Float, noise: Float, mean: Callable[[Float], Float]
 ) -> tuple[Float, Float]:
-    """Return the power of MAP fields (c, my, mx) and of their noise, both divided by the mean squared gain.
+    """Return the power of MAP fields (c, my, mx), and the power of their noise, over the mean squared gain.
     `noise` is N = 1 / (F^2 A) of each mode, and the gain S / (S + N) with the `spectrum` S. `mean` averages
     an array over the modes of each ring or sector."""
     power = np.mean([np.square(f, dtype=np.float64) for f in fields], axis=0)
@@ -350,8 +351,8 @@ def _over_gain(
 def _undetected_fraction(
     measured: Float, rings: Float, noise: Float, detected: NDArray[np.bool_], binning: WavenumberRings
 ) -> float:
-    """Return the power of rings without significant waves as a fraction, 0 to 1, of its upper limit `rings`.
-    It is the slope of a line through (upper limit, measured power) / noise of these rings, all (c, rings)."""
+    """Return the power of rings where no waves were detected, over its upper limit `rings`: 0 to 1.
+    It is the slope of a line through (upper limit, `measured` power) / noise; arrays are (c, rings)."""
     limit, found = rings / noise, measured / noise
     weight = binning.count * (~detected & (binning.middle < SHORTEST_IN_LIMITS))
     total = max(float(weight.sum()), 1e-30)
@@ -362,9 +363,9 @@ def _undetected_fraction(
 
 
 def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDArray[np.float64]:
-    """Return the power of each sector over that of its ring, (c, sectors, rings).
+    """Return the power of each sector over the power of its ring, (c, sectors, rings).
     The measured `estimate` of this ratio is averaged over neighbouring rings with `weight`, and drawn towards
-    1 where modes are few. In component n, it is constant from ring number lasts[n] - 1 on."""
+    1 where modes are few. In component n, the ratio is constant from ring number lasts[n] - 1 on."""
     for one, last in zip(weight, lasts):
         one[:, last:] = 0.0
     total_weight = convolve1d(weight, RING_SMOOTHING, axis=-1, mode="constant")
@@ -380,11 +381,11 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
 
 
 def shrinkage(variance: float, noise: float, waves: float) -> float:
-    """Return the fraction of a learned spectrum that is waves, 0 to 1; the rest is long-wave noise.
+    """Return the fraction of a learned spectrum that is waves, 0 to 1; the remainder is long-wave noise.
 
-    `variance` is measured in the MAP fields; the prior predicts `noise` for its noise and `waves` for its
-    waves. The fraction is 1 if variance - noise is at least half of `waves` or three times `noise`; below the
-    smaller of these limits it is proportional to variance - noise.
+    `variance` is the measured variance of the MAP fields; the prior predicts its two parts, `noise` from
+    noise and `waves` from waves. The fraction is 1 if variance - noise is at least half of `waves` or three
+    times `noise`; below the smaller of these limits it is proportional to variance - noise.
 
     >>> shrinkage(4.0, 1.0, 3.0), round(shrinkage(1.0, 1.0, 3.0), 3)
     (1.0, 0.0)
@@ -395,7 +396,7 @@ def shrinkage(variance: float, noise: float, waves: float) -> float:
 
 
 def _plateau(ratio: NDArray[np.float64], count: NDArray[np.integer[Any]]) -> float:
-    """Return the smallest mean of a ratio (rings,) of power to noise over five neighbouring rings.
+    """Return the smallest average, over five neighbouring rings, of a ratio (rings,) of power to noise.
     `count` is the number of modes of each ring. With fewer than five rings, the result is 1."""
     if ratio.size < NOISE_RINGS:
         return 1.0
@@ -411,8 +412,8 @@ def _extrapolated(
     noise: float,
     upper_limit: Float,
 ) -> NDArray[np.float64]:
-    """Replace a spectrum (rings,) from ring number `last` on by a power law through the rings before it.
-    The law stays below `upper_limit`. Rings before `last` are raised to at least 0.01 `noise`. k (rings,) are
+    """Return a spectrum (rings,), with a power law from ring number `last` on, fitted to the rings before it.
+    The law stays below `upper_limit`. Rings before `last` are at least 0.01 `noise`. k (rings,) are
     wavenumbers."""
     out = np.maximum(power, MIN_POWER_TO_NOISE * noise)
     first = max(last - SLOPE_RINGS, 1)
