@@ -60,8 +60,7 @@ SEEN_BY_BLOCKS = 0.11
 
 
 class WaveRings(NamedTuple):
-    """Variance of a record's waves in rings (bins of wavenumber), from its learned spectrum, each
-    (rings,)."""
+    """Variance of a record's waves in rings (bins of wavenumber), by its learned spectrum, each (rings,)."""
 
     k: Float  # rad/m
     variance: Float  # of z, m^2
@@ -139,7 +138,8 @@ def lost_by_elevation(waves: WaveRings, frames: int, times: Float) -> float:
 
 
 def lost_by_paths(waves: WaveRings, path_frames: int, times: Float) -> float:
-    """Return the variance of dz, m^2, that velocities from this kind of path (`path_weights`) lose.
+    """Return the variance of dz (rise per step), m^2, lost by velocities from this kind of path
+    (`path_weights`).
     It is sum S |i p - sum w_t exp(i p t)|^2 plus `orbits`; symbols are as in `lost_by_elevation`, but w_t are
     weights of the time derivative."""
     _, weights = frame_weights(times, FRAMES_OF_Z[frames_of_path(path_frames)], path_frames == 6)
@@ -230,8 +230,7 @@ def bead_tilt(rise: Float, step: float, height: float) -> Float:
 
 
 def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
-    """Return the standard uncertainty, m, of the height of the plane z = 0, one for all nodes; NaN if
-    unknown."""
+    """Return the standard uncertainty, m, of the height of z = 0, equal for all nodes; NaN if unknown."""
     levelled = geometry.rig.provenance.get("levelled")
     if geometry.z_is_known:
         return 0.0  # `stated_by_setup` contains it

@@ -24,12 +24,12 @@ MAX_SIZE_TO_WIDTH = 3.0  # objects wider than this many bead widths belong to th
 
 
 def bead_width(image: NDArray[Any]) -> float:
-    """Return the width at half height of the images of beads, px, from the autocorrelation; 0 for a texture.
+    """Return the width at half height of beads in an image, px, from the autocorrelation; 0 for a texture.
 
     White noise affects the correlation at zero shift only, so shifts r of 1 and 2 px are used: for Gaussian
     beads of standard deviation s, the correlation is exp(-r^2 / 4 s^2). The local mean (sigma 4 px) is
     subtracted first, which also removes a part of each bead: widths of 2 to 7 px come out a tenth to a third
-    too small. The brightness of beads is skewed, that of a texture is not.
+    too small. An image is a texture (water without beads) if its brightness is not skewed.
     """
     part = np.ascontiguousarray(image, np.float32)
     around = cv2.GaussianBlur(part, (0, 0), SURROUNDINGS_SIGMA_PX)
@@ -48,7 +48,7 @@ def bead_width(image: NDArray[Any]) -> float:
 
 
 def _skewness(part: NDArray[Any]) -> float:
-    """Return the skewness of the brightness, from every second pixel along both axes."""
+    """Return the skewness of the brightness of every second pixel along x and y."""
     some = part[::2, ::2]
     some = some[np.isfinite(some)].astype(np.float64)
     if not some.size:
@@ -58,7 +58,7 @@ def _skewness(part: NDArray[Any]) -> float:
 
 
 def above_floor(image: NDArray[Any], width: float) -> NDArray[Any]:
-    """Remove objects wider than three bead widths (`width`, px) by a white top-hat; none if `width` is 0."""
+    """Remove objects wider than three bead widths (`width`, px) by a white top-hat; not if `width` is 0."""
     if not width:
         return image
     side = int(np.ceil(MAX_SIZE_TO_WIDTH * width)) // 2 * 2 + 3
@@ -88,8 +88,8 @@ def ready(
     image: NDArray[Any], count: int, width: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
     """Prepare a usable frame (h, w): remove its background, compress its brightness, bin count x count px.
-    `width` is that of the beads, px; 0 for a texture; None: it is measured. Brightness in pixels where
-    `covered` (h, w) is True is ignored."""
+    `width` is the width of the beads, px, 0 for a texture (no beads), or None to measure it. Pixels where
+    `covered` (h, w) is True are ignored."""
     if covered is not None:
         image = fill_masked(image, covered)
     width = bead_width(image) if width is None else width
@@ -103,7 +103,7 @@ def ready(
 
 
 def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
-    """Return the image, sharpened by `amount` to reduce the bias of matches by overlapping beads."""
+    """Return the image sharpened, so that overlapping beads bias matches less; `amount` 0: unchanged."""
     kernel = np.array([-amount, 1.0 + 2.0 * amount, -amount], np.float32)
     part = np.ascontiguousarray(image, np.float32)
     return np.asarray(cv2.sepFilter2D(part, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REPLICATE))
@@ -112,9 +112,10 @@ def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
 def log_compress(
     image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """Compress the brightness I of an image to 5000 log(1 + (I - B) / (0.5 (I_99 - B))), and to 0 below B.
-    A factor on the brightness becomes a constant that is added. B is `black`, by default the 1 % quantile,
-    and I_99 the 99 % quantile, of pixels that are not `covered`."""
+    """Compress the brightness I of an image to 5000 log(1 + (I - B) / (0.5 (I_99 - B))), and to 0 where I <
+    B.
+    I_99 is the 99 % quantile of pixels that are not `covered`; B is `black`, by default the 1 % quantile. A
+    factor on the brightness becomes a constant that is added."""
     low, _, high = _levels(image, covered)
     low = low if black is None else black
     knee = max(KNEE_TO_CONTRAST * (high - low), 1e-6 * max(abs(low), abs(high), 1e-30))
@@ -135,15 +136,15 @@ def log_compress(
 
 @compiled()
 def _table_value(image: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None:
-    """Write to `out`, for every pixel of a 16-bit image, the entry of `table` for its brightness."""
+    """Look up each pixel of a 16-bit image in `table`, and write the entries to `out`."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             out[y, x] = table[image[y, x]]
 
 
 def _levels(image: NDArray[Any], covered: NDArray[np.bool_] | None = None) -> tuple[float, float, float]:
-    """Return the 1, 50 and 99 % quantiles of the brightness, from every eighth pixel along both axes.
-    `covered` pixels do not count. All three are 0 if none is left or fewer than about half are finite."""
+    """Return a tuple: the 1, 50 and 99 % quantiles of the brightness of every eighth pixel along x and y.
+    Pixels in `covered` do not count. All are 0 if no pixel is left or fewer than about half are finite."""
     sample = image[3::8, 3::8].ravel()
     if covered is not None:
         sample = sample[~covered[3::8, 3::8].ravel()]
@@ -169,7 +170,7 @@ Masks = Mapping[str, Pixels | None]
 
 
 def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
-    """Return the masks of one instant, True on pixels to ignore, prepared for matching, by camera.
+    """Return the masks of one frame, by camera, prepared for matching; True marks pixels to ignore.
     Results are kept in `geometry` and used again while the mask of a camera is the same array."""
     out = {}
     for name in geometry.cameras:
@@ -184,7 +185,7 @@ def covered_in(masks: Masks, geometry: GridGeometry) -> dict[str, Covered]:
 
 
 def _ready(pixels: Pixels, name: str, geometry: GridGeometry) -> Covered:
-    """Prepare a mask (h, w) of camera `name`, True on pixels to ignore, for matching in time and in pairs."""
+    """Prepare a mask (h, w), True on pixels to ignore, for matching camera `name` in time and with others."""
     w, h = geometry.sights[name].camera.size
     count = geometry.sights[name].binning
     good = np.where(pixels[: h * count, : w * count], np.uint8(0), np.uint8(255))
@@ -203,9 +204,9 @@ def masked_nodes(
     z: NDArray[Any],
     geometry: GridGeometry,
 ) -> Pixels:
-    """Return a mask (ny, nx), True for nodes that outlines, or the masks `covered` of both frames, hide.
-    Masks hide a node at z (ny, nx), metres, if they leave no pair for z or fewer than two cameras for
-    velocity. Cameras in `missing` do not count."""
+    """Return a mask (ny, nx), True for nodes hidden by outlines or by the image masks `covered`.
+    `covered` are the masks of the first and second frame, by camera. They hide a node at z (ny, nx), metres,
+    if they leave no pair for z or fewer than two cameras for velocity. Cameras in `missing` do not count."""
     hidden = {}
     for name in {*covered[0], *covered[1]}:
         X, Y = geometry.sights[name].position(z)
@@ -223,7 +224,7 @@ def prepare(
     image: NDArray[Any], camera: str, geometry: GridGeometry, mask: Mask | None = None
 ) -> matching.PreparedImage:
     """Sharpen and rectify an image from `ready`, and prepare it for matching between cameras.
-    `mask` is for the rectified image; None: all that the camera sees."""
+    `mask` is for the rectified image; None uses all pixels that the camera sees."""
     view = geometry.views[camera]
     flat = widen(rectify(sharpened(image, BETWEEN_CAMERAS), *view.maps), *view.blur)
     return matching.prepare(flat, geometry.settings.stereo, mask=mask or view.mask)
@@ -234,7 +235,7 @@ Frames = Mapping[str, NDArray[Any] | None]
 
 @dataclass(frozen=True)
 class Images:
-    """The usable frames of one instant, prepared by `ready`, and their masks, both by camera."""
+    """Usable images of one frame number, by camera, prepared by `ready`; and their masks, by camera."""
 
     ready: Mapping[str, NDArray[Any]]
     covered: Mapping[str, Covered]
@@ -242,12 +243,12 @@ class Images:
 
     @property
     def missing(self) -> frozenset[str]:
-        """Cameras without a usable frame."""
+        """Names of the cameras without a usable frame."""
         return frozenset(name for name in self.geometry.cameras if name not in self.ready)
 
     def rectified(self, left_out: str | None = None) -> dict[str, matching.PreparedImage]:
-        """Return the frames, rectified and prepared for matching between cameras, by camera.
-        The result is empty for a light sheet, and excludes the camera `left_out`."""
+        """Return, by camera, the images rectified and prepared for matching between cameras.
+        The camera `left_out` is excluded. The result is empty for a light sheet, where z is known."""
         if self.geometry.z_is_known:
             return {}
         return {
@@ -262,7 +263,7 @@ class Images:
         }
 
     def in_time(self) -> dict[str, matching.PreparedImage]:
-        """Return the frames, prepared for matching in time but not rectified, by camera."""
+        """Return, by camera, the images prepared for matching with the next frame, not rectified."""
         return {
             name: matching.prepare(
                 sharpened(self.ready[name], IN_TIME),
@@ -277,8 +278,8 @@ class Images:
 def images_of(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks | None = None
 ) -> Images:
-    """Return the frames of one instant that are usable, prepared, with their masks.
-    `beads` are bead widths, raw px, and `masks` (h, w) are True on pixels to ignore, both by camera."""
+    """Prepare the usable images of one frame number, and their masks.
+    `beads` are bead widths, raw px, and `masks` (h, w) are True on pixels to ignore, by camera."""
     masks = masks or {}
     found: dict[str, NDArray[Any]] = {}
     for name in geometry.cameras:

@@ -1,4 +1,4 @@
-"""Elevation and rise of the surface at mid-time, half-way between two frames, from the six frames around."""
+"""Elevation and its change per step at mid-time, half-way between two frames, from the six nearest frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Surfaces = Sequence[Surface | None]
 
 @dataclass(frozen=True)
 class MidTime:
-    """Elevation and rise of the surface at mid-time of a step, half-way between its two frames."""
+    """Elevation of the surface and its change per step, at mid-time, half-way between the two frames."""
 
     z: Float  # (ny, nx): elevation, metres
     rise: Float  # (ny, nx): rise per step of the particle that is at the node at mid-time, metres
@@ -34,7 +34,7 @@ class MidTime:
 
 @dataclass(frozen=True)
 class StepEstimate:
-    """Elevation and motion of one step, estimated from all cameras that agree with each other."""
+    """Elevation and motion in one step, estimated from the cameras that agree with each other."""
 
     surfaces: Surfaces  # of the six frames around the step
     motion: Motion
@@ -43,7 +43,7 @@ class StepEstimate:
 
     @property
     def nearest(self) -> tuple[Surface, Surface]:
-        """The surfaces of the two frames of the step."""
+        """A tuple: the surfaces in the first and second frame of the step."""
         first, second = self.surfaces[AROUND : AROUND + 2]
         assert first is not None
         assert second is not None
@@ -61,10 +61,10 @@ def z_at_mid_time(
     """Interpolate z at mid-time, half-way between the frames of a step, at nodes x, y (ny, nx), metres.
 
     `surfaces` are those of six frames, None if missing; `flow` is the mean displacement (dx, dy) of the water
-    per step, metres. `times` (6,) of the frames are in frame intervals from mid-time; `late` (ny, nx), in
-    frame intervals, is the delay with which rolling shutters see a node. Returns a tuple of one to three
-    elevations (ny, nx), the first from as many frames as possible, the last from two; the number of frames of
-    the first (ny, nx); and a mask of nodes that were measured in both frames of the step.
+    per step, metres. `times` (6,) of the frames and `late` (ny, nx), the delay with which rolling shutters
+    see a node, are in frame intervals. Returns three results: a tuple of one to three elevations (ny, nx),
+    from as many frames as possible first, from two last; the number of frames used for the first of these
+    (ny, nx); and a mask (ny, nx), True where both frames of the step were measured.
     """
     # Interpolate in a frame of reference that moves with the mean flow U: a current would carry short waves
     # past a node faster than the frames follow. With z_n = z(x + t_n U) at t_n = -5/2 ... 5/2,
@@ -85,7 +85,7 @@ def z_at_mid_time(
         measured[n] = surface.is_measured(*place, z)
 
     def by(some: Sequence[int]) -> Float:
-        """Return z (ny, nx) at mid-time from the polynomial through the frames `some`."""
+        """Return z (ny, nx) at mid-time from the polynomial through the frames numbered `some`."""
         weights = frame_weights(times, some, at=at)[0].astype(np.float32)
         total = np.zeros(x.shape, np.float32)
         for n in some:
@@ -112,18 +112,18 @@ def z_at_mid_time(
 
 
 def reversed_in_time(frames: Sequence[int]) -> tuple[int, ...]:
-    """Return frame numbers (0 to 5) mirrored about mid-time: frame n becomes 5 - n, in rising order."""
+    """Mirror frame numbers (0 to 5) about mid-time: n becomes 5 - n; the result is in rising order."""
     return tuple(5 - n for n in reversed(frames))
 
 
 def rise_of_water(
     first: Surface, second: Surface, motion: Motion, flow: tuple[float, float], x: Float, y: Float
 ) -> Float:
-    """Return the rise of particles per step, z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z, (ny, nx), m.
-    c is the displacement over the step (chord), b the mean of its end points minus the position at mid-time
-    (bend), and d the displacement per step at mid-time, all from `Motion`; z_0 and z_1 are the `first` and
-    `second` surface. Where the motion was not measured, c is the mean `flow` (dx, dy), and b and d_z - c_z
-    are 0."""
+    """Return z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z, the change of particles' z per step, (ny, nx),
+    m.
+    z_0 and z_1 are the `first` and `second` surface. From `motion` come c, the displacement from frame to
+    frame; b, the mean position in both frames minus that at mid-time; and d, the velocity at mid-time per
+    frame. Where the motion was not measured, c is the mean `flow` (dx, dy), and b and d_z - c_z are 0."""
     measured = np.isfinite(motion.chord).all(axis=0)
     parts = *motion.chord[:2], *motion.bend[:2], motion.d[2] - motion.chord[2]
     # where the motion was not measured, use the mean flow
@@ -152,8 +152,8 @@ def slope(z: Float, step: float, axis: int) -> Float:
 
 
 def frames_used(surfaces: Surfaces) -> int:
-    """Return from how many frames z at mid-time can be interpolated, 6, 4, 3 or 2.
-    `surfaces` are those of the six frames, None if missing; both frames of the step must be there."""
+    """Return the number of frames from which z at mid-time can be interpolated: 6, 4, 3 or 2.
+    `surfaces` are those of the six frames, None if missing. The middle two, those of the step, must exist."""
     present = [one is not None for one in surfaces]
     if present[1] and present[4]:
         return 6 if present[0] and present[5] else 4
@@ -162,7 +162,7 @@ def frames_used(surfaces: Surfaces) -> int:
 
 def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
     """Return how late rolling shutters see the nodes at z (ny, nx), metres, by camera that measures z.
-    The delays (ny, nx) are in frame intervals, relative to the middle row of the image."""
+    Delays (ny, nx) are in frame intervals, relative to the middle row of the image."""
     out = {}
     for name in geometry.surface_cameras:
         sight = geometry.sights[name]
@@ -171,16 +171,16 @@ def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
 
 
 def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
-    """Return the mean over the cameras of their `lateness`, (ny, nx); None for global shutters."""
+    """Return the delays from `lateness`, averaged over the cameras, (ny, nx); None for global shutters."""
     if not geometry.settings.row_delays:
         return None
     return np.asarray(np.mean(list(lateness(z, geometry).values()), axis=0))
 
 
 def elevation_errors(z: Float, d: Float, geometry: GridGeometry) -> tuple[Float, Float]:
-    """Return the errors that rolling shutters cause: of z (ny, nx), and of position (2, ny, nx), metres.
-    d (3, ny, nx), metres, is the motion per step. Camera n, late by tau_n, sees a point displaced by tau_n
-    (d_xy - D_n d_z), with the slope D_n of its sight line."""
+    """Return a tuple of errors due to rolling shutters, metres: of z (ny, nx), of position x, y (2, ny, nx).
+    d (3, ny, nx), metres, is the motion per step. Camera n, whose delay is tau_n, sees a point displaced by
+    tau_n (d_xy - D_n d_z), with the slope D_n of its sight line."""
     late = lateness(z, geometry)
     mean = np.mean(list(late.values()), axis=0)
     shift, slope = {}, {}

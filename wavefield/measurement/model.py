@@ -27,8 +27,8 @@ Float = NDArray[Any]
 
 @dataclass(frozen=True)
 class LearnedRecord:
-    """Bead widths, spectra and noise of a record (a series of frames), learned from samples (`learn`).
-    Values of single cameras are in pairs (name of the camera, value)."""
+    """Bead widths, spectra and noise of a record (a series of frames), learned from samples by `learn`.
+    Fields with one value per camera hold pairs (name of the camera, value)."""
 
     beads: tuple[tuple[str, float], ...]  # widths of beads in the images of every camera, raw px; 0: texture
     elevation: Prior  # of z on the rectified lattice, metres
@@ -75,8 +75,8 @@ class LearnedRecord:
 
 
 class FieldModel:
-    """Estimator of a field with the learned spectrum `prior` on a lattice of `shape` (ny, nx).
-    Only holes inside the mask `inner` (ny, nx) tighten the solver's tolerance; None: all. With
+    """Estimator of a field on a lattice of `shape` (ny, nx), with the learned spectrum `prior`.
+    Holes outside the mask `inner` (ny, nx) do not tighten the solver's tolerance; None: all holes do. With
     `whole_beads`, each bead counts in one block only (`scores_at`). Tables are computed at first use."""
 
     def __init__(
@@ -90,33 +90,33 @@ class FieldModel:
 
     @cached_property
     def modes(self) -> Modes:
-        """Cosine modes of the field, and the solver for the most probable field (MAP)."""
+        """Cosine modes of the field, with the solver for the most probable (MAP) field."""
         with one_thread():
             return Modes(self.prior, self._shape, self._inner)
 
     @cached_property
     def spread(self) -> PosteriorVariance:
-        """Posterior variance of the field: a function of the information (ny, nx) of the blocks."""
+        """Posterior variance of the field: a function of the inverse variances (ny, nx) of the blocks."""
         with one_thread():
             return PosteriorVariance(self.prior, self._shape)
 
     @cached_property
     def _spline(self) -> Float:
-        """Factors (my, mx) from cosine coefficients of the field to those of its spline coefficients."""
+        """Factors (my, mx) from cosine coefficients of a field to cosine coefficients of its cubic spline."""
         my, mx = self.modes.shape
         return spline_prefilter(self._shape)[:my, :mx]
 
     def splined(self, waves: Float, rest: Float) -> Float:
-        """Return the cubic-spline coefficients (ny, nx, c) of a field that is the sum of two parts:
-        a series with cosine coefficients `waves` (c, my, mx), and a smooth field `rest` (c, ny, nx)."""
+        """Return the cubic-spline coefficients (ny, nx, c) of the sum of two fields with c components.
+        One has the cosine coefficients `waves` (c, my, mx); the smooth field `rest` is (c, ny, nx)."""
         out = np.moveaxis(self.modes.field(waves * self._spline), 0, -1) + local_coefficients(rest)
         return np.ascontiguousarray(out, np.float32)
 
 
 def elevation_model(geometry: GridGeometry, prior: Prior, beads: Mapping[str, float]) -> FieldModel:
     """Make the estimator of z, metres, on the blocks of the rectified images.
-    `beads` are bead widths by camera; if none is 0 (a texture), each bead counts in one
-    block only (`scores_at`)."""
+    `beads` are bead widths by camera. If all cameras see beads (none is 0, a texture), each bead counts in
+    one block only."""
     return FieldModel(prior, geometry.lattice.shape, _inner_blocks(geometry), all(beads.values()))
 
 
@@ -149,7 +149,7 @@ class Model:
 
 
 def _inner_blocks(geometry: GridGeometry) -> NDArray[np.bool_]:
-    """Return a mask (ny, nx) of the blocks that the reference and another camera see.
+    """Return a mask (ny, nx), True for blocks that the reference and another camera see.
     The outermost 7 blocks of this area are left out."""
     reference, *others = (geometry.views[name].visible_blocks for name in geometry.surface_cameras)
     both = np.minimum(reference, np.max(others, axis=0)) > 0.99
@@ -174,7 +174,7 @@ OSCILLATION_RATIO = 0.7  # solutions oscillate if a change exceeds this fraction
 
 
 class Convergence:
-    """Decides when successive solutions of a MAP field have converged; `scale` is in px per field unit."""
+    """Decide when successive solutions of a MAP field have converged; `scale` is px per unit of the field."""
 
     def __init__(self, scale: float = 1.0) -> None:
         self._scale, self._evaluations, self._change = scale, 0, np.inf
@@ -188,9 +188,9 @@ class Convergence:
     def next(
         self, modes: Modes, waves: Float, solved: Float, block_mean: Float | None
     ) -> tuple[Float, Float]:
-        """Return the cosine coefficients (c, my, mx) to continue with, and their field averaged over blocks.
-        They are the new ones, `solved`; the mean with the previous `waves` if solutions oscillate; or `waves`
-        if `solved` is larger than any image. `block_mean` (c, ny, nx) belongs to `waves`."""
+        """Return a tuple: cosine coefficients (c, my, mx) to continue with, and their field's block means.
+        The coefficients are `solved`; the mean of `solved` and the previous `waves` if solutions oscillate;
+        `waves` if the field exceeds any image. `block_mean` (c, ny, nx) belongs to `waves`."""
         after = modes.block_mean(solved)
         self._diverged = not self._scale * float(np.abs(after).max()) < MAX_FIELD_PX  # true for NaN as well
         if self._diverged:
@@ -216,9 +216,9 @@ WAVENUMBERS = 200  # wavenumbers in the stored table, up to the diagonal Nyquist
 
 
 def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str, Float]:
-    """Return the table of gains that is stored with a cube: ``gain_z``, ``gain_u``, ... (8, 200), by name.
-    Rows belong to ``direction`` (8,), rad, over half a turn, columns to ``k`` (200,), rad/m, both in the
-    table as well. Gains are NaN without a record, that of z also for a light sheet."""
+    """Return the table of amplitude gains stored with a cube: ``gain_z``, ``gain_u``, ... (8, 200), by name.
+    Its rows are for ``direction`` (8,), rad, over half a turn, its columns for ``k`` (200,), rad/m, which the
+    table contains too. Gains are NaN if `record` is None; ``gain_z`` also for a light sheet."""
     k = np.linspace(0, np.sqrt(2) * np.pi / geometry.grid.step, WAVENUMBERS)
     direction = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     unknown = np.full((DIRECTIONS, WAVENUMBERS), np.nan)
@@ -231,13 +231,12 @@ def tabulated(geometry: GridGeometry, record: LearnedRecord | None) -> dict[str,
 
 
 def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -> dict[str, Float]:
-    """Return the amplitude gains of z, u, v and w, by name, for waves with wavenumbers kx, ky, rad/m.
+    """Return the amplitude gain (measured over true) of z, u, v, w, by name, for wavenumbers kx, ky, rad/m.
 
-    The MAP field has the gain S / (S + N), with the learned spectrum S and noise N of the blocks. For
-    velocities, this gain applies to the displacement of each camera in its own pixels; least squares over the
-    cameras then gives that of u, v, w. It is averaged over the grid, because an oblique camera has much
-    longer pixels on the water far away than near. The gain of interpolation in time (`path_gain`) is not
-    included.
+    The most probable (MAP) field has the gain S / (S + N), with the learned spectrum S and noise N of the
+    blocks. For velocities, each camera's displacement has this gain in its own pixels, and least squares over
+    the cameras gives the gain of u, v, w. This is averaged over the grid, because pixels of an oblique camera
+    are much longer on the far water. The gain of interpolation in time (`path_gain`) is not included.
     """
     step = BLOCK * geometry.pixel
     z = _gain_between_blocks(record.elevation, kx * step, ky * step)[0]
@@ -247,8 +246,8 @@ def gains(geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float) -
 
 
 def shortest_carried(geometry: GridGeometry, record: LearnedRecord) -> dict[str, float]:
-    """Return, for z, u, v and w, the wavelength, m, at which the direction-averaged gain is 1/2.
-    It is two grid steps if the gain is larger at all wavenumbers of the grid."""
+    """Return the wavelength, m, at which the direction-averaged gain is 1/2, for each of z, u, v, w.
+    It is two grid steps if the gain exceeds 1/2 at all wavenumbers of the grid."""
     k = np.linspace(0.0, np.pi / geometry.grid.step, 600)
     angle = np.arange(8)[:, None] * np.pi / 8
     kx, ky = k * np.cos(angle), k * np.sin(angle)
@@ -262,7 +261,7 @@ def shortest_carried(geometry: GridGeometry, record: LearnedRecord) -> dict[str,
 def _gain_of_velocity(
     place: tuple[float, float], geometry: GridGeometry, record: LearnedRecord, kx: Float, ky: Float
 ) -> Float:
-    """Return matrices (..., 3, 3) from true to measured displacements (dx, dy, dz) at `place` (x, y).
+    """Return matrices (..., 3, 3) that turn true into measured (dx, dy, dz), at `place` (x, y), metres.
     kx, ky (...) are wavenumbers, rad/m."""
     jacobians: list[Any] = [
         geometry.sights[name].camera.jacobian(*place, 0.0) for name, _ in record.displacement
