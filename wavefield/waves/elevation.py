@@ -40,7 +40,7 @@ _TABLE_K = np.geomspace(1e-3, 4e3, 6000)  # rad/m: waves of 6 km to 1.6 mm
 
 def intrinsic_frequency(omega: Array, doppler_shift: Array, sigma: Array, dt: float) -> Array:
     """Return the frequency omega - k . U in a frame that moves with the water, rad/s; `doppler_shift` is k .
-    U. Its modulus is limited to 0.5 to 1.5 times `sigma`, the free-wave frequency, or to omega if outside."""
+    U. The modulus is limited to 0.5 to 1.5 times the free-wave frequency `sigma`, or to omega if outside."""
     intrinsic = np.asarray(omega - doppler_shift)
     least = np.minimum(omega, (1 - MAX_DEPARTURE) * sigma)
     most = np.maximum(omega, np.minimum((1 + MAX_DEPARTURE) * sigma, np.pi / dt))
@@ -69,8 +69,8 @@ def _white(noise: Array, use: Array) -> Array:
 
 
 def _reach(omega: Array, valid: Array, signal: Array) -> tuple[float, float]:
-    """Return the highest frequency, Hz, of the valid range that contains the spectral peak.
-    Also return by how many decades `signal` falls from the peak to it. Arrays are (omega,)."""
+    """Return the highest frequency, Hz, of the valid range that contains the spectral peak. Also return by
+    how many decades `signal` falls from the peak to that frequency. Arrays are (omega,)."""
     peak = int(np.argmax(np.nan_to_num(signal)))
     index = peak
     while index + 1 < omega.size and valid[index + 1]:
@@ -99,7 +99,7 @@ def _trusted_lines(trusted: Array, spectra: "_Elevations", water: Water) -> Arra
 
 @dataclass(frozen=True)
 class _Gains:
-    """Gains (k,) of the power spectra of z and w, 0 if too small, and of their cross spectrum."""
+    """Power gains (k,): of the spectra of z and w, 0 where too small, and of their cross spectrum."""
 
     z: Array
     w: Array
@@ -134,7 +134,7 @@ def _gains(gain: xr.Dataset | None, k: Array) -> _Gains:
 
 @dataclass(frozen=True)
 class _Elevations:
-    """Elevation spectra (omega, k) from z (zz) and from w (ww), and the cross spectrum of the two (zw)."""
+    """Elevation spectra (omega, k): zz of z, ww of w integrated in time, and their cross spectrum zw."""
 
     omega: Array  # rad/s
     k: Array  # of the rings, rad/m
@@ -220,8 +220,8 @@ def _noise(spectra: _Elevations, water: Water, gains: _Gains) -> _Noise:
 
 
 def _best(spectra: _Elevations, noise: _Noise, gains: _Gains) -> tuple[Array, Array, Array]:
-    """Return the elevation spectrum from z and w combined, its noise and its uncertainty, each (omega, k). z
-    and w have inverse-variance weights. The uncertainty is relative, of amplitude, and due to gains only."""
+    """Return three arrays (omega, k): the elevation spectrum from z and w, weighted by inverse variance; its
+    noise; and the relative standard uncertainty of its amplitude that is due to the gains."""
     std_z, std_w = gains.std
     waves = np.maximum(gains.elevation(spectra.zw), 0.0)
     by_z = np.sqrt(gains.z) / (noise.fit_z + std_z**2 * gains.z * waves)
@@ -245,8 +245,9 @@ def _tiny(spectra: _Elevations) -> float:
 def _by_method(
     spectra: _Elevations, noise: _Noise, gains: _Gains, undo: bool
 ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
-    """Return energies, masks of trusted values and relative gain uncertainties of energy, each by `METHODS`.
-    Arrays are (omega, k). If `undo`, energies are corrected for noise and gains, and 0 if untrusted."""
+    """Return three tuples of one array (omega, k) per method in `METHODS`: energies, masks of trusted values,
+    and relative gain uncertainties of energy. If `undo`, noise and gains are corrected; untrusted energies
+    are 0."""
     best, remaining, std_best = _best(spectra, noise, gains)
     with np.errstate(divide="ignore", invalid="ignore"):
         signals = (
@@ -274,7 +275,8 @@ def _freedom(
     ring: xr.Dataset, energies: Sequence[Array], remaining: Array, gain_variances: Array, tiny: float
 ) -> Array:
     """Return the degrees of freedom of E(omega), (methods, omega), lowered for subtracted noise and gain
-    errors. `energies` and `remaining` are E(omega) and noise; `gain_variances` are relative."""
+    errors. `energies` are E(omega) by method, `remaining` is noise; `gain_variances` are relative
+    variances."""
     z, w = (ring["dof_omega"].sel(quantity=name).clip(min=1).values for name in NAMES)
     dof = np.stack([z, w, np.sqrt(z * w), np.sqrt(z * w)])
     zz, ww, zw, best = energies
@@ -294,9 +296,9 @@ def fused_group(
     depth: float,
     gamma: float,
 ) -> xr.Dataset:
-    """Return elevation spectra ``Ez`` (source, omega), m2 s, by the four `METHODS`, and the noise of z and w.
-    Sources are z ("stereo"), w integrated in time ("w"), their cross spectrum ("cross"), and z and w weighted
-    by inverse noise ("fusion"). `ring_sums` are sums over segments; `density_w` is E(omega, ky, kx) of w."""
+    """Return elevation spectra ``Ez`` (source, omega), m2 s, and the noise of z and w. Sources are z
+    ("stereo"), w integrated in time ("w"), the cross spectrum of these ("cross"), and z and w weighted by
+    inverse noise ("fusion"). `ring_sums` are sums over segments; `density_w` is E(omega, ky, kx) of w."""
     zw = density(ring_sums.pop("map z*w"), welch)  # frees memory: no other product needs it
     water = depth, gamma
     spectra = _elevations(ring, welch, density_w, zw, used.velocity, water)
@@ -353,8 +355,8 @@ def _at_waves(energy: Array, spectra: _Elevations, water: Water) -> Array:
 
 
 def _elevation_spectra(fused: xr.Dataset, ring: xr.Dataset, filled: Mapping[str, float]) -> xr.Dataset:
-    """Return the elevation spectra by method that `analyze` writes to its group `spectra`.
-    They are valid where z or w, as used, exceeds four times `filled`, the power of interpolation errors."""
+    """Return the elevation spectra by method that `analyze` writes. They are valid where E(omega) of z or w,
+    as used by the method, exceeds four times `filled`, the power of interpolation errors."""
     out = fused[BY_SOURCE].copy()
     step = float(ring["k"][1] - ring["k"][0])
     over_k = {name: ring["E"].sel(quantity=name).sum("k").values * step for name in NAMES}

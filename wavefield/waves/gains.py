@@ -24,7 +24,7 @@ MIN_SIGNAL_TO_NOISE = 3.0  # of a cell, ring or band: a noise wrong by a tenth c
 
 
 def path_factor(omega: Any, dt: float, frames: int) -> Any:
-    """Return the amplitude gain of a velocity with code `frames` (see `frames_of`) relative to two frames.
+    """Return the amplitude gain of velocities with code `frames` (see `frames_of`) over that for two frames.
     For paths it is w_0 + 2 w_1 cos(omega dt) + 2 w_2 cos(2 omega dt), with weights w of `PATH_WEIGHTS`."""
     if frames == INSTANTANEOUS:
         with np.errstate(divide="ignore"):
@@ -70,8 +70,8 @@ def read_gain(source: str | Path | xr.Dataset) -> xr.Dataset:
 def gain_of(
     cube: xr.Dataset, requested: str | Path | xr.Dataset | Literal[False] | None = None
 ) -> xr.Dataset | None:
-    """Return the gain requested by the user, else the gain stored in the cube, else None.
-    False requests no gain. A stored gain below 0.5, or NaN, at the smallest k counts as missing."""
+    """Return the gain `requested` by the user, else the gain stored in the cube. Return None if `requested`
+    is False, no gain is stored, or the stored gain is NaN or below 0.5 at the smallest k."""
     if requested is False:
         return None
     if requested is not None:

@@ -45,8 +45,8 @@ def powers_of_differences(values: Array, axis: int, lag: int, differences: int) 
 
 
 def _blocks_of_time(record: Record, longest: int) -> list[tuple[int, int, tuple[int, int]]]:
-    """Return blocks of time steps as (start, stop, run), where run is the range of steps without long gaps.
-    A block is twice as long as the `longest` lag, or shorter if there would be fewer than eight."""
+    """Return blocks of time steps as (start, stop, run); `run` is the range of unbroken steps around a block.
+    A block is twice as long as the `longest` lag, or shorter if there would be fewer than eight blocks."""
     steps = record.steps_in_runs()
     length = max(min(2 * longest, steps // MIN_BLOCKS), 2)
     return [(a, a + length, run) for run in record.runs for a in range(run[0], run[1] - length + 1, length)]
@@ -69,8 +69,8 @@ def structure_functions(field: xr.DataArray, *, differences: int = 1) -> xr.Data
     Dataset
         ``structure_time`` (lag_time, order), ``structure_x`` (lag_x, order) and ``structure_y`` (lag_y,
         order): S_p, the mean of |increment|^p for p = 1 to 6, in the field's units to the power p;
-        ``flatness_time``, ``flatness_x``, ``flatness_y``, each over its lag: S_4 / S_2^2; standard
-        uncertainties of all, with ``_std`` after the name. Lags are in s and m. Attributes ``differences``,
+        ``flatness_time``, ``flatness_x``, ``flatness_y``, each over its lag: S_4 / S_2^2. Variables whose
+        names end in ``_std`` are standard uncertainties. Lags are in s and m. Attributes ``differences``,
         ``blocks`` (the number of blocks in the bootstrap) and ``gaussian_flatness`` (3).
 
     Raises

@@ -84,7 +84,7 @@ def keep_water(out: xr.Dataset, given: xr.DataArray) -> xr.Dataset:
 
 
 def a_field(given: object, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
-    """Return `given` and its water parameters; CubeError naming the estimator if it is no DataArray."""
+    """Return `given` and its water parameters. CubeError for the estimator `name` if it is no DataArray."""
     if not isinstance(given, xr.DataArray):
         raise CubeError(
             f"{name} expected one variable over time, y and x (for example cube.w), got {described(given)}"

@@ -24,8 +24,8 @@ _TILE = 8  # steps transposed at once: a cache line of 64 bytes
 
 @_loose
 def join(first: Array, second: Array, window: Array, out: Array) -> None:
-    """Write a segment, detrended and times ``window`` (n,), to ``out`` (cells, 2 n), as real, imaginary,
-    real, ... ``first`` and ``second`` are the halves (n / 2, 2 cells) of the segment."""
+    """Write a segment, detrended and multiplied by ``window`` (n,), to ``out`` (cells, 2 n). ``first`` and
+    ``second`` are its halves (n / 2, 2 cells). In all, real and imaginary parts alternate."""
     half, columns = first.shape
     n = 2 * half
     middle = (n - 1) / 2
@@ -73,7 +73,7 @@ def _add_row(row: Array, factor: float, out: Array) -> None:
 @_loose
 def ring_powers(f: Array, start: Array, ring: Array, weight: Array, spread: Array, out: Array) -> None:
     """Add sums over rings of |f|^2 and |f|^4, for transforms f (cells, n), to ``out`` (2, rings, n // 2 + 1).
-    Cells have ``weight`` in |f|^2 and ``spread`` in |f|^4. Positive and negative omega are added together."""
+    ``weight`` and ``spread`` weight the cells in |f|^2 and |f|^4. Values at omega and -omega are added."""
     cells, n = f.shape
     half = n // 2
     power = np.empty(n, f.real.dtype)
@@ -230,8 +230,8 @@ def gradient(z: Array, dy: float, dx: float, z_y: Array, z_x: Array) -> None:
 
 @_loose
 def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: Array, counts: Array) -> None:
-    """Add (value - ``mean``)^p, p = 1 to 4, of values (steps, nodes) to ``sums`` (4, nodes).
-    Count the values in the histogram ``counts``, which has ``per_unit`` bins per unit from ``low`` on."""
+    """Add (value - ``mean``)^p, p = 1 to 4, of values (steps, nodes) to ``sums`` (4, nodes). Also add the
+    values to the histogram ``counts``, which has ``per_unit`` bins per unit from ``low`` on."""
     last = counts.size - 1
     for r in range(values.shape[0]):
         for i in range(values.shape[1]):
@@ -249,8 +249,8 @@ def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: A
 
 @_loose
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
-    """Add the power of each wave, spread over neighbouring cells, to the spectrum ``out`` (lines, ny, nx).
-    ``first`` (3, waves) is its first cell along each axis; ``weights`` (3, waves, cells) are fractions."""
+    """Add the power of each wave, spread over neighbouring cells, to the spectrum ``out`` (lines, ny, nx). On
+    each axis, a wave begins at cell ``first`` (3, waves), with fractions ``weights`` (3, waves, cells)."""
     lines, ny, nx = out.shape
     near = weights.shape[2]
     columns = np.empty(near, np.int64)

@@ -48,8 +48,8 @@ def with_stds(out: xr.Dataset, energy: xr.DataArray, dof: Array, welch: Welch) -
 
 
 def peak_and_std(energy: Array, valid: NDArray[np.bool_], dof: Array, omega: Array) -> tuple[float, float]:
-    """Return the frequency of the spectral peak, from a parabola, and its standard uncertainty, rad/s.
-    The uncertainty is from spectra drawn with `dof` degrees of freedom. All arrays are (omega,)."""
+    """Return the frequency of the spectral peak, from a parabola, and its standard uncertainty, rad/s. The
+    uncertainty is the scatter in random spectra with `dof` degrees of freedom. All arrays are (omega,)."""
     measured = np.log(np.maximum(np.nan_to_num(energy), 1e-9 * np.nanmax(energy[valid])))
     white = np.random.default_rng(0).standard_normal((BOOTSTRAP_DRAWS, energy.size + 2))
     # filtered noise with the correlations of the powers of a Hann window's lines, 4/9 and 1/36
@@ -70,7 +70,7 @@ Scales = Mapping[str, tuple[float, float]]  # rough mean and standard deviation 
 
 
 def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return mean and standard deviation of each field from a few steps, to set bins of histograms."""
+    """Return (mean, standard deviation) of each field by name, from a few steps, for histograms."""
     part = (
         cube[list(names)]
         .isel(time=record.some_steps(SAMPLED_STEPS), y=slice(*record.y), x=slice(*record.x))
@@ -86,9 +86,9 @@ def rough_scales(cube: xr.Dataset, record: Record, names: Sequence[str]) -> dict
 
 
 def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -> dict[str, Array]:
-    """Return sums over fields (steps, ny, nx) by name, for `label`; `scales` are rough means and deviations.
-    "powers <field>" (4, nodes) are sums over steps of (value - mean)^p for p = 1 to 4, "counts <field>" is a
-    histogram, "steps" is their number, and "slopes" has the sum of squared slopes and their number."""
+    """Return sums over fields (steps, ny, nx): "powers <field>" (4, nodes), sums over steps of (value -
+    mean)^p for p = 1 to 4; "counts <field>", a histogram; "steps", the number of steps; "slopes" (2,), the
+    sum of squared slopes and the number of values. `scales` are rough means and standard deviations."""
     out: dict[str, Array] = {}
     for name, values in fields.items():
         mean, std = scales[name]
@@ -105,7 +105,7 @@ def sums_of(fields: Mapping[str, Array], scales: Scales, dy: float, dx: float) -
 
 def _moments_of(powers: Array, guess: float, steps: float) -> dict[str, float]:
     """Return moments of a field from `powers` (4, nodes), sums over steps of (value - `guess`)^p, p = 1 to 4.
-    They are about each node's mean, because differences between nodes are mostly calibration errors."""
+    Moments are about the mean of each node, since differences between nodes are mostly calibration errors."""
     a1, a2, a3, a4 = powers / steps
     m2 = (a2 - a1**2).mean()
     m3 = (a3 - 3 * a1 * a2 + 2 * a1**3).mean()
@@ -175,10 +175,10 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
         (quantity, bin) is the density of (value - ``mean``) / ``pdf_std``, and ``gaussian`` (bin) the
         standard normal density. Over ``quantity``: ``mean``, ``std`` (m), ``skewness``, ``kurtosis``
         (excess), ``count`` and ``n_outliers``, the number of values beyond six standard deviations.
-        ``std`` is about the mean of each node, ``pdf_std`` about that of all values. ``significant_height``
-        (m) is four standard deviations of z. It, ``mean_square_slope``, ``slope_rms`` and ``peak_frequency``
-        (Hz) have standard uncertainties ``_std``, NaN for runs of fewer than 8 steps; the peak
-        is NaN in a record shorter than ten peak periods.
+        ``std`` is about the mean of each node, ``pdf_std`` about the mean of all values. Single numbers:
+        ``significant_height`` (m), four standard deviations of z; ``mean_square_slope``; ``slope_rms``;
+        ``peak_frequency`` (Hz), NaN in a record shorter than ten peak periods; and for these four, standard
+        uncertainties ``_std``, NaN for runs of fewer than 8 steps.
 
     Raises
     ------

@@ -33,7 +33,7 @@ def slopes(z: Array, dy: float, dx: float) -> tuple[Array, Array]:
 def terms(
     fields: Mapping[str, Array], dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, Array]:
-    """Return the quantities `OUTPUTS`, each (..., ny, nx), from fields z, z_t, u, v, w of the same shape.
+    """Return the quantities `OUTPUTS` by name, each (..., ny, nx), from z, z_t, u, v, w of the same shape.
     The `current`, m/s, is subtracted from u and v in the nonlinear term only."""
     shape = fields["z"].shape
     z, z_t, u, v, w = (np.ascontiguousarray(fields[name]).reshape(-1, *shape[-2:]) for name in FIELDS)
@@ -135,7 +135,7 @@ def kinematics_at(snapshot: xr.Dataset) -> xr.Dataset:
 def balance(
     fields: Mapping[str, Array], i: int, dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, float]:
-    """Return the rms over nodes at step `i` of w, z_t, nonlinear term, residual, vorticity and divergence."""
+    """Return rms values at step `i`, by name, over all nodes, of w, z_t and the terms of `kinematics`."""
     step = {name: fields[name][i].astype(float) for name in FIELDS}
     parts = terms(step, dy, dx, current)
     values = {
@@ -177,8 +177,8 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Return sqrt(E_nl / E_w), the ratio of the nonlinear term to w, as a function of k and as another of
-    omega, with 95 % intervals."""
+    """Return sqrt(E_nl / E_w) of the nonlinear term and w: one curve over k, one over omega, with 95 %
+    intervals."""
     out: dict[str, Any] = {}
     w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))
     for axis in ("k", "omega"):

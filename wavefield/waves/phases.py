@@ -37,8 +37,8 @@ def phase_average(cube: xr.Dataset, period: float, *, phases: int = 24) -> xr.Da
         Each field averaged over (phase, y, x), in its own units; ``<field>_std``, its standard uncertainty;
         ``<field>_rest`` (y, x), the standard deviation in time of the part that does not repeat; ``phase``,
         rad; ``steps`` (phase), the sum of the weights of steps; ``harmonic_amplitude``, m, and
-        ``harmonic_phase``, rad, (harmonic, y, x), of the first three harmonics of z, NaN from about the
-        Nyquist frequency on. Attribute ``period``, s.
+        ``harmonic_phase``, rad, (harmonic, y, x), of the first three harmonics of z, NaN for harmonics near
+        or above the Nyquist frequency. Attribute ``period``, s.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def phase_average(cube: xr.Dataset, period: float, *, phases: int = 24) -> xr.Da
 
 
 def phase_weights(angle: Array, phases: int) -> Array:
-    """Return weights (steps, phases) that divide each step, at `angle` (rad), between its nearest phases."""
+    """Return weights (steps, phases) that split each step between the two phases next to its `angle`, rad."""
     place = angle / (2 * np.pi) * phases
     low = np.floor(place)
     out = np.zeros((angle.size, phases))

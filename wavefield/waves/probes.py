@@ -42,7 +42,7 @@ class ProbeFit:
     gain: float  # standard deviation of the probe over that of the elevation
 
     def problems(self, dt: float) -> Iterator[tuple[str, str]]:
-        """Yield each fault of the probe and its remedy, two texts; `dt` is the cube's time step, s."""
+        """Yield (fault, remedy), two texts, for each fault of the probe; `dt` is the cube's time step, s."""
         if abs(self.best) < SAME_WAVES:
             yield (
                 f"it is unlike the elevation at its place at any time (correlation {self.best:.2f})",
@@ -183,8 +183,8 @@ def probe_spectra(probes: xr.Dataset, omega: xr.DataArray, span: tuple[float, fl
 
 
 def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tuple[NDArray[np.bool_], float]:
-    """Return a mask of the probe samples within `span` (first, last), s, and their sampling rate, Hz.
-    Raises CubeError if they cover less than `duration`, s, or have unequal steps."""
+    """Return a mask of the probe samples within `span` (first, last), s, and their sampling rate, Hz. Raises
+    CubeError if these samples cover less than `duration`, s, or have unequal steps."""
     inside = (time >= span[0] - 1e-9) & (time <= span[1] + 1e-9)
     if inside.sum() < 8 or time[inside][-1] - time[inside][0] < 0.9 * duration:
         raise CubeError(

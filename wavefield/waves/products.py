@@ -88,8 +88,9 @@ def registered() -> list[WaveProduct]:
 def compute_ready(
     waiting: list[WaveProduct], values: dict[str, object], each: Callable[..., Iterable[Any]] | None = None
 ) -> dict[str, Sequence[str]]:
-    """Compute products in `waiting` until no more inputs become known; return their notes by product name.
-    Computed products move from `waiting` to `values`. `each(work, items)` computes costly ones on workers."""
+    """Compute all products in `waiting` whose inputs are known or become known; return notes by product name.
+    Each computed product is removed from `waiting`, and its value is added to `values`. `each(work, items)`
+    runs costly products on workers."""
     notes: dict[str, Sequence[str]] = {}
     while ready := [product for product in waiting if all(name in values for name in product.inputs)]:
         # quick products first, so that as many as possible of the others can run in parallel

@@ -25,7 +25,7 @@ ROUNDS = 3  # alternations between the prior spectrum and the filled values; a f
 
 
 def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
-    """Return a block (steps, ny, nx) in which NaN and steps of the mask `missing` have likely values."""
+    """Return a block (steps, ny, nx) with NaN, and all values at steps of the mask `missing`, filled."""
     if not missing.any() and all_finite(block):
         return block
     hole = ~np.isfinite(block) | missing[:, None, None]

@@ -96,7 +96,7 @@ class PlaneWaves:
         return np.asarray((flat @ self.basis.T).reshape(*each.shape[:2], *self.shape))
 
     def transposed(self, weighted: Array) -> Array:
-        """Return the transpose of the map `fields` applied to `weighted` (4, times, ny, nx), (2 n,)."""
+        """Return (2 n,): the transpose of the map `fields`, applied to `weighted` (4, times, ny, nx)."""
         sums = weighted.reshape(-1, self.basis.shape[0]) @ self.basis
         real, imaginary = np.split(sums.reshape(*weighted.shape[:2], -1), 2, axis=-1)
         out = ((real + 1j * imaginary)[..., self.vector] * self.response).sum(axis=(0, 1))
@@ -113,8 +113,8 @@ class PlaneWaves:
     def normal(
         self, products: tuple[NDArray[np.complex128], ...], variance: Sequence[float] | Array
     ) -> Array:
-        """Return the normal matrix (2 n, 2 n) of a least-squares fit of the n unknowns. `products` are from
-        the method of that name; `variance` (4,) is the noise variance of z, u, v, rate of rise."""
+        """Return the normal matrix (2 n, 2 n) of a least-squares fit of the n unknowns. `products` is a
+        result of `PlaneWaves.products`; `variance` (4,) is the noise variance of z, u, v, rate of rise."""
         q = self.response.reshape(FIELDS, self.times.size, -1) / np.sqrt(np.asarray(variance))[:, None, None]
         q = q.reshape(-1, self.vector.size)
         hermitian, symmetric = products[0] * (q.conj().T @ q), products[1] * (q.T @ q)
@@ -185,8 +185,8 @@ class Learned:
 
 
 def learn(waves: PlaneWaves, mask: Mask, windows: Sequence[Array], variance: Array) -> Learned:
-    """Return wave spectrum and noise, from sample windows (4, times, ny, nx) that are 0 outside `mask`.
-    They are found by expectation maximisation. ``variance`` (4,) is the noise variance given by the cube."""
+    """Return wave spectrum and noise, from sample windows (4, times, ny, nx) that are 0 outside `mask`, by
+    expectation maximisation. ``variance`` (4,) is the noise variance that the cube states."""
     products = waves.products(mask)
     # the noise that resembles waves is estimated on an orthogonal basis of all plane waves
     basis = waves.basis[mask.ravel()]
@@ -233,8 +233,8 @@ JUMP_OF_TIME = -1.0  # marks a step at which time jumps, in place of its quality
 
 
 class _Smoother:
-    """Computes the smoothed fields of a time step from those of the steps around it.
-    The grid is covered by overlapping rectangles of nodes, in which waves are fitted separately."""
+    """Computes the smoothed fields of a time step from the fields of the steps around that step. The grid is
+    covered by overlapping rectangles of nodes, in which waves are fitted separately."""
 
     def __init__(
         self,
@@ -265,8 +265,8 @@ class _Smoother:
         self._fits: dict[int, tuple[Posterior, Array]] = {}
 
     def parts(self, window: Array) -> tuple[Array, Array, Array]:
-        """Return z, u, v and rate of rise (4, times, ny, nx), their variances, and a mask of measured nodes.
-        `window` (9, times, ny, nx) holds z, u, v, w, their standard uncertainties, and quality."""
+        """Return z, u, v, rate of rise, and their variances, both (4, times, ny, nx), and a mask of measured
+        nodes. `window` (9, times, ny, nx) holds z, u, v, w, their standard uncertainties, and quality."""
         z, u, v, w = window[:4].astype(float)
         z_y, z_x = slopes(z, self.step, self.step)
         fields = np.stack([z, u, v, w - u * z_x - v * z_y])
@@ -277,7 +277,7 @@ class _Smoother:
 
     def study(self, windows: list[Array]) -> None:
         """Estimate wave spectrum and noise (`learned`) from sample windows (9, times, ny, nx), as in `parts`.
-        The more complete half of them is used. CubeError if under a quarter of the nodes are measured."""
+        Only the half with most measured nodes is used. CubeError if under a quarter of nodes are measured."""
         parts = [self.parts(window) for window in windows]
         shares = [there.mean() for _, _, there in parts]
         parts = [parts[i] for i in np.argsort(shares, kind="stable")[len(parts) // 2 :]]

@@ -49,8 +49,8 @@ def _name(field: xr.DataArray) -> str:
 
 
 def unfold(power: Array, ny: int, nx: int) -> Array:
-    """Return the power at omega >= 0 in the whole k plane, (n // 2 + 1, ny, nx), from `power` at kx >= 0.
-    In the result, k points where waves go. In numpy's transform, cos(k . x - omega t) is at (k, -omega)."""
+    """Return the power at omega >= 0 in the whole k plane, (n // 2 + 1, ny, nx), from `power` at kx >= 0. In
+    the result, k points where waves go; in numpy's transform, cos(k . x - omega t) is at (k, -omega)."""
     n = power.shape[-1]
     power = power.reshape(ny, nx // 2 + 1, n)
     columns = np.arange(nx)
@@ -156,8 +156,8 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
     Dataset
         Over (omega, k): ``E``, in the field's units squared per rad/m and rad/s; its degrees of freedom
         ``dof``; ``low`` and ``high``, factors from E to the limits of its 95 % interval; ``valid``, a mask of
-        reliable values. ``dof_omega`` and ``dof_k``, those of E(omega) and E(k). Over k: ``coverage``, the
-        fraction of each ring of |k| that the grid samples, and ``cells``, the independent cells in it.
+        reliable values. ``dof_omega`` and ``dof_k``, degrees of freedom of E(omega) and E(k). Over k:
+        ``coverage``, the sampled fraction of a ring of |k|, and ``cells``, the independent cells in it.
 
     Raises
     ------
@@ -243,7 +243,7 @@ def E_omega(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
     Notes
     -----
     For a field, E is the mean of the spectra of all nodes. If nodes are missing, or for a result of `komega`,
-    it is the integral of E(k, omega) over k. Its spatial window makes the variance up to twice as large.
+    it is the integral of E(k, omega) over k, whose spatial window makes the variance up to twice as large.
 
     Examples
     --------

@@ -68,9 +68,9 @@ def advected(fields: Mapping[str, Array], welch: Welch) -> dict[str, Array]:
 def transforms(
     fields: dict[str, Array], requested: Requested, welch: Welch, memory: Mapping[str, Array] | None = None
 ) -> dict[str, Array]:
-    """Return the spatial Fourier transforms (cells, steps) of the quantities in half a segment, by name.
-    "points <name>" (16, steps) are values at 16 nodes, "nodes" (pairs, steps) at all nodes, two per complex
-    number. `fields` is emptied and `memory` is overwritten, to save memory."""
+    """Return arrays for half a segment by name: "<name>" (cells, steps), spatial Fourier transforms; "points
+    <name>" (16, steps), values at 16 nodes; "nodes" (pairs, steps), values at all nodes, two in a complex
+    number. To save memory, `fields` is emptied and `memory` is overwritten."""
     out, memory, names = {}, memory or {}, requested.names
     if {"nl", "rise"} & {*names}:
         fields |= advected(fields, welch)
@@ -87,9 +87,9 @@ def transforms(
 
 
 def empty_sums(half: Array, requested: Requested, table: Rings) -> dict[str, Array]:
-    """Return arrays of zeros, by name, to which `add_segment` adds sums over segments.
-    "<name>" and "a*b" are (2, rings, n / 2 + 1): power and squared power, or real and imaginary part.
-    "squares a*b" is (rings, n / 2 + 1), "map ..." (cells, n), for `half` (cells, n / 2)."""
+    """Return arrays of zeros, by name, to which `add_segment` adds. "<name>" is for power and squared power,
+    "a*b" for real and imaginary part, both (2, rings, n / 2 + 1). "squares a*b" is (rings, n / 2 + 1), and
+    "map ..." (cells, n), where `half` is (cells, n / 2)."""
     cells, steps = half.shape
     names = (*requested.names, *(f"{a}*{b}" for a, b in requested.pairs))
     sums = {name: np.zeros((2, table.k.size, steps + 1)) for name in names}
@@ -106,9 +106,9 @@ def add_segment(
     second: dict[str, Array],
     begin: int,
 ) -> None:
-    """Add the powers and cross products of one segment to `sums`. Keep there also its Fourier transforms in
-    time at 16 nodes of the grid, from which degrees of freedom follow. `first` and `second` are `transforms`
-    of the halves of the segment, and `begin` is its first step."""
+    """Add the powers and cross products of one segment to `sums`. Also store in `sums` the Fourier transforms
+    of time series at 16 nodes, for degrees of freedom. `first` and `second` are `transforms` of the two
+    halves of the segment, and `begin` is the first step of the segment."""
     if not sums:
         sums |= empty_sums(first[requested.names[0]], requested, welch.table)
     table, dt, names = welch.table, welch.record.dt, requested.names

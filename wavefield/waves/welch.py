@@ -53,7 +53,7 @@ def choose_segment(steps: int) -> int:
 
 
 def overlap_factor(segments: float) -> float:
-    """Return the variance of a mean over half-overlapping Hann segments over that for independent ones."""
+    """Return the factor by which half overlap of Hann-windowed segments raises the variance of their mean."""
     return 1 + 2 * (1 - 1 / segments) / 36
 
 
@@ -63,7 +63,7 @@ def degrees_of_freedom(segments: float) -> float:
 
 
 def interval(dof: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower and upper limits of the 95 % interval, as factors of the spectrum, like `dof`."""
+    """Return lower and upper limits of the 95 % interval, relative to the spectrum, in the shape of `dof`."""
     dof = np.asarray(dof, float)
     unique, index = np.unique(dof, return_inverse=True)  # many cells have the same number
     quantiles = 1 - CHANCE / 2, CHANCE / 2  # of chi-squared
@@ -79,8 +79,8 @@ def richardson_lucy(
     rounds: int,
 ) -> np.ndarray:
     """Return a non-negative spectrum that, blurred by a window, is close to `measured` (Richardson 1972).
-    ``through_window(estimate)`` blurs a spectrum; ``corrected(estimate, ratio)`` multiplies it by the blurred
-    ratio of measured to blurred spectrum. `estimate` is the first guess."""
+    ``through_window(estimate)`` blurs a spectrum. ``corrected(estimate, ratio)`` multiplies it by the blurred
+    ratio of `measured` to the blurred estimate. `estimate` is the first guess."""
     for _ in range(rounds):
         estimate = corrected(estimate, measured / through_window(estimate))
     return estimate
@@ -95,7 +95,7 @@ Sums = dict[str, np.ndarray]  # transforms of half a segment, or sums over segme
 
 def segment_length(record: Record, segment: int | None) -> int:
     """Return the number of steps in a segment, by default that of `choose_segment` for the longest run.
-    Raises CubeError if it is odd, below 8 or longer than the longest run."""
+    Raises CubeError if the number is odd, below 8 or longer than the longest run."""
     longest = record.longest
     if segment is None:
         segment = choose_segment(longest)
@@ -117,8 +117,8 @@ def _values(part: object) -> np.ndarray:
 def _span(
     record: Record, a: int, b: int, run: tuple[int, int]
 ) -> tuple[tuple[slice, slice, slice], np.ndarray, slice]:
-    """Return slices (time, y, x) to read for steps a to b - 1 of a run, with a margin for filling gaps.
-    Also return a mask of missing steps among those read, and the slice of steps a to b - 1 in them."""
+    """Return, for steps a to b - 1 of a run: slices (time, y, x) to read, with a margin for filling gaps; a
+    mask of missing steps among those read; and the slice of steps a to b - 1 among those read."""
     bridged = np.asarray(record.bridged, int)
     reach = FILL_MARGIN if record.holes or bridged.size else 0
     lo, hi = max(a - reach, run[0]), min(b + reach, run[1])
@@ -127,7 +127,7 @@ def _span(
 
 
 class Link(NamedTuple):
-    """Half a segment: steps ``start`` to ``stop`` of a run; ``new`` unless an earlier task reads it."""
+    """Half a segment: steps ``start`` to ``stop`` - 1 of a run; ``new`` if no earlier task reads it."""
 
     start: int
     stop: int
@@ -165,8 +165,8 @@ class Reader:
 
 
 def cut_chains(record: Record, segment: int) -> list[list[Link]]:
-    """Cut a `Record` into half segments, grouped in chains, which are lists; segments consist of two
-    neighbours in a chain. A chain has up to five half segments, that is up to four segments."""
+    """Return lists (chains) of consecutive half segments of a `Record`. Two neighbours in a list form a
+    segment; a list has up to five half segments, so up to four segments."""
     half = segment // 2
     out = []
     for run in record.runs:
@@ -320,7 +320,7 @@ class Welch:
     def of(
         cls, fields: xr.DataArray | xr.Dataset, segment: int | None = None, record: Record | None = None
     ) -> "Welch":
-        """Return the estimator for fields over (time, y, x); by default it chooses record and segment."""
+        """Return the estimator for fields over (time, y, x). If None, `record` and `segment` are chosen."""
         record = find_record(fields) if record is None else record
         length = segment_length(record, segment)
         return cls(record, length, frames_of(fields), depth=water_of(fields.attrs)[0])
@@ -358,7 +358,7 @@ class Welch:
 
     @property
     def density(self) -> float:
-        """Factor from |F|^2 of transforms F, summed over segments, to a density per (rad/m)^2 and rad/s."""
+        """Factor from |F|^2 of transforms F, summed over segments, to E(omega, ky, kx), rad/m and rad/s."""
         record = self.record
         energy = float(np.prod([(hann(n) ** 2).sum() for n in (self.segment, *record.shape)]))
         return record.dt * record.dy * record.dx / ((2 * np.pi) ** 3 * energy * self.count)
@@ -401,7 +401,7 @@ class Welch:
 
     def freedom(self, sums: Array) -> Array:
         """Return the degrees of freedom (rings, lines) of E(k, omega), from `sums` of `kernels.ring_powers`.
-        They follow from the scatter of energy in a ring and the correlation of its cells by Hann windows."""
+        They follow from the scatter of energy in a ring and the correlation of cells by Hann windows."""
         power, square = sums[0], sums[1]
         filled = power > 0
         spread = np.divide(self.count * square, power**2, out=np.zeros_like(power), where=filled)
@@ -415,7 +415,8 @@ class Welch:
 
     @property
     def ring_variables(self) -> Mapping[str, tuple[str, Array]]:
-        """Fraction of each ring inside the k plane, ``coverage``, and its independent ``cells``, over k."""
+        """Over k: ``coverage``, the fraction of a ring inside the k plane; ``cells``, its independent
+        cells."""
         return {"coverage": ("k", self.table.coverage), "cells": ("k", self.table.cells)}
 
     @property
