@@ -138,10 +138,9 @@ def lost_by_elevation(waves: WaveRings, frames: int, times: Float) -> float:
 
 
 def lost_by_paths(waves: WaveRings, path_frames: int, times: Float) -> float:
-    """Return the variance of dz (rise per step), m^2, lost by velocities from this kind of path
-    (`path_weights`).
+    """Return the variance of dz (displacement per step), m^2, lost by velocities from this kind of path.
     It is sum S |i p - sum w_t exp(i p t)|^2 plus `orbits`; symbols are as in `lost_by_elevation`, but w_t are
-    weights of the time derivative."""
+    weights of the time derivative. `path_frames` is explained in `path_weights`."""
     _, weights = frame_weights(times, FRAMES_OF_Z[frames_of_path(path_frames)], path_frames == 6)
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1j * waves.phase - seen))) + orbits(waves, path_frames)

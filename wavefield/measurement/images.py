@@ -112,8 +112,7 @@ def sharpened(image: NDArray[Any], amount: float) -> NDArray[np.float32]:
 def log_compress(
     image: NDArray[Any], black: float | None = None, covered: NDArray[np.bool_] | None = None
 ) -> NDArray[Any]:
-    """Compress the brightness I of an image to 5000 log(1 + (I - B) / (0.5 (I_99 - B))), and to 0 where I <
-    B.
+    """Compress brightness I to 5000 log(1 + (I - B) / (0.5 (I_99 - B))), and to 0 where I < B.
     I_99 is the 99 % quantile of pixels that are not `covered`; B is `black`, by default the 1 % quantile. A
     factor on the brightness becomes a constant that is added."""
     low, _, high = _levels(image, covered)

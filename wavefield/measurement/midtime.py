@@ -119,8 +119,7 @@ def reversed_in_time(frames: Sequence[int]) -> tuple[int, ...]:
 def rise_of_water(
     first: Surface, second: Surface, motion: Motion, flow: tuple[float, float], x: Float, y: Float
 ) -> Float:
-    """Return z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z, the change of particles' z per step, (ny, nx),
-    m.
+    """Return how much particles rise per step: z_1(x + c/2 + b) - z_0(x - c/2 + b) + d_z - c_z, (ny, nx), m.
     z_0 and z_1 are the `first` and `second` surface. From `motion` come c, the displacement from frame to
     frame; b, the mean position in both frames minus that at mid-time; and d, the velocity at mid-time per
     frame. Where the motion was not measured, c is the mean `flow` (dx, dy), and b and d_z - c_z are 0."""

@@ -1,10 +1,10 @@
-"""Paths of particles in the images of each camera, and their velocity at mid-time.
+"""Paths of particles in the images of each camera, and velocities of these particles at mid-time.
 
-A particle that is at a node at mid-time has moved through the images of the frames around. Its displacement
-in a step is read where it was then, from the MAP displacement of that step. A polynomial through its
-positions in 2, 4 or 6 frames gives its velocity. The six frames are numbered 0 to 5, with mid-time between 2
-and 3; the five steps between them are called bb, b, c, a, aa (two before, before, centre, after, two after).
-Times are in frame intervals from mid-time.
+A path belongs to a particle that is at a node at mid-time. The particle has moved through the images of the
+frames around. Its displacement in each step is read where it was then, from the MAP displacement of that
+step. A polynomial through its positions in 2, 4 or 6 frames gives its velocity. The six frames are numbered 0
+to 5, with mid-time between 2 and 3; the five steps between them are called bb, b, c, a, aa (two before,
+before, centre, after, two after). Times are in frame intervals from mid-time.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ _NOISE_CORRELATION = -0.2
 
 
 def elevation_gain(phase: Float, frames: int) -> Float:
-    """Return the amplitude gain of z from 2, 4 or 6 frames for a wave with `phase` change, rad, per frame."""
+    """Return the gain of z interpolated from 2, 4 or 6 frames, for waves of `phase` change, rad per frame."""
     weights = {2: (1.0,), 4: (9 / 8, -1 / 8), 6: (150 / 128, -25 / 128, 3 / 128)}[frames]
     return np.asarray(sum(w * np.cos((n + 0.5) * phase) for n, w in enumerate(weights)))
 
 
 def path_gain(phase: Float, frames: int) -> Float:
-    """Return the gain of velocities along paths for a wave whose phase turns by `phase`, rad, per frame.
+    """Return the gain of velocities along paths for a wave whose phase changes by `phase`, rad, per frame.
     `frames` is the kind of path, a key of PATH_WEIGHTS."""
     own, *neighbours = PATH_WEIGHTS[frames]
     path = own + 2.0 * sum(w * np.cos(n * phase) for n, w in enumerate(neighbours, 1))
@@ -59,9 +59,10 @@ def path_gain(phase: Float, frames: int) -> Float:
 def frame_weights(
     times: Float, frames: Sequence[int], smooth: bool = False, at: Float | float = 0.0
 ) -> tuple[Float, Float]:
-    """Return the weights of six frames for a value, and for its rate of change, at the time `at`, (6, ...).
-    They follow from a polynomial through the frames with the numbers `frames` (0 to 5), or, if `smooth`, from
-    one of degree four near them, which has less noise. `times` (6,) and `at` are in frame intervals."""
+    """Return a tuple of weights (6, ...) of six frames: for a value at the time `at`, and for its rate of
+    change.
+    They follow from a polynomial through the frames numbered `frames` (0 to 5). If `smooth`, the rate is from
+    one of degree four near all frames, with less noise. `times` (6,) and `at` are in frame intervals."""
     used = list(frames)
     powers = np.vander(times[used], increasing=True).T
     shape, count = np.shape(at), len(used)
@@ -78,19 +79,19 @@ def frame_weights(
 
 
 def noise_of_displacements(weights: Float) -> Float:
-    """Return the factors (n, ...) on the noise variances of n successive displacements in a weighted sum.
+    """Return the factors (n, ...) of n noise variances of displacements in the variance of a weighted sum.
     `weights` (n, ...) are those of the sum; the noise of successive displacements is correlated."""
     padded = np.pad(weights, [(1, 1), *[(0, 0)] * (weights.ndim - 1)])
     return np.asarray(weights * (weights + _NOISE_CORRELATION * (padded[:-2] + padded[2:])))
 
 
 def row_delay(name: str, geometry: GridGeometry) -> float:
-    """Return the delay of a camera's rolling shutter per row of the binned image, in frame intervals."""
+    """Return the delay per row of the binned image of a camera's rolling shutter, in frame intervals."""
     return dict(geometry.settings.row_delays).get(name, 0.0) * geometry.sights[name].binning
 
 
 def middle_row(sight: Sight) -> float:
-    """Return the middle row of the binned image, which a rolling shutter reads at the time of the frame."""
+    """Return the number of the middle row of the binned image, which is read at the time of the frame."""
     return 0.5 * (sight.camera.size[1] - 1)
 
 
@@ -103,8 +104,8 @@ _LOOSE = {"contract", "reassoc"}
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, int]:
-    """Return the two spline coefficients in c (flat) of the block nearest to x, y, and the block's number.
-    x, y are in blocks on a lattice of nx, ny. The outermost blocks are not used."""
+    """Return the two spline coefficients c[2n], c[2n + 1] of the block nearest to x, y, and its number n.
+    x, y are in blocks on a lattice of nx by ny blocks. The outermost blocks are not used."""
     i = np.int64(min(F(nx) - F(2), max(F(1), x + F(0.5))))  # max(1, NaN) is 1
     j = np.int64(min(F(ny) - F(2), max(F(1), y + F(0.5))))
     n: Any = j * nx + i
@@ -113,15 +114,15 @@ def _nearest(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real, 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _inside(nx: int, ny: int, x: Real, y: Real) -> bool:
-    """Return whether x, y, in blocks, lies on the lattice of nx, ny blocks."""
+    """Return whether the position x, y, in blocks, lies on a lattice of nx by ny blocks."""
     half = F(0.5)
     return bool(-half < x < F(nx) - half and -half < y < F(ny) - half)
 
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def _lines(c: Float, first: np.uintp, down: np.uintp, w: Weights) -> Weights:
-    """Return, for four successive rows, the sum of four neighbouring coefficients along x, weighted by w.
-    `first` is the index in c (flat) of the first coefficient, `down` the distance between rows."""
+    """Return four sums, one per lattice row, of four neighbouring coefficients along x, weighted by w.
+    `first` is the index in c (flat) of the first coefficient, `down` the distance between rows in c."""
     step = np.uintp(2)
     return (
         spline_line(c, first, step, w),
@@ -139,7 +140,7 @@ def _dot(a: Weights, b: Weights) -> Real:
 
 @compiled(error_model="numpy", fastmath=_LOOSE)
 def displacement_at(c: Float, nx: int, ny: int, x: Real, y: Real) -> tuple[Real, Real]:
-    """Return both components of a displacement at x, y, in blocks, from its spline coefficients c (flat)."""
+    """Return the displacement (u, v) at x, y, in blocks, from its spline coefficients c (flat)."""
     i, t = place_of(x, nx)
     j, s = place_of(y, ny)
     wx, wy = spline_weights(t), spline_weights(s)
@@ -152,8 +153,8 @@ def _solve_near(
     c: Float, nx: int, ny: int, part: Real, x: Real, y: Real, u: Real, v: Real
 ) -> tuple[Real, Real, Real, Real, Weights]:
     """Find the position p for which p + part f(p) = (x, y), by one Newton step from (x, y) - part (u, v).
-    f is the displacement with the spline c. Returns both components of p and of f(p), and the derivatives of
-    p with respect to x, y: (dp_x/dx, dp_x/dy, dp_y/dx, dp_y/dy)."""
+    f is the displacement with the spline coefficients c. Returns p_x, p_y, f_x(p), f_y(p) and the tuple of
+    derivatives (dp_x/dx, dp_x/dy, dp_y/dx, dp_y/dy)."""
     px, py = x - part * u, y - part * v
     i, t = place_of(px, nx)
     j, s = place_of(py, ny)
@@ -183,7 +184,7 @@ def _read_path(
     out: Float,
     block: NDArray[np.int64],
 ) -> None:
-    """Compute the results of `read_path`, out (6, n) and block (5, n), from flat arrays.
+    """Do the work of `read_path` on flat arrays: write the motion to out (6, n), the blocks to block (5, n).
     Arrays of missing steps are empty. `weights` (5, 2, 5, m) of `path_weights` are for all pixels (m = 1) or
     for each (m = n). `lattice` is x0, y0 and step of the lattice of `shape`."""
     bb, b, c, a, aa = splines
@@ -263,10 +264,10 @@ def _read_path(
 def path_weights(times: Float, frames: int, at: Float | float = 0.0) -> Float:
     """Return the weights (5, 2, 5, m) of five successive displacements along a path, at m times `at`.
 
-    Axis 0: which frames are there (`FRAMES_OF_PATH`). Axis 1: the way from the position in the step's first
-    frame to that at `at`, and the displacement per interval at `at`. Axis 2: the five displacements. `frames`
-    is the kind of path; times are in frame intervals from mid-time. For even times, with the step from frame
-    0 to frame 1, positions X0 in frame 0 and X at mid-time, and displacements d_ij from frame i to j, four
+    Axis 0: which frames exist (`FRAMES_OF_PATH`). Axis 1: 0 gives the displacement from the step's first
+    frame to the time `at`, 1 the displacement per interval at `at`. Axis 2: the five displacements. `frames`
+    is the kind of path; times are in frame intervals from mid-time. Take even times, a step from frame 0 to
+    frame 1, positions X0 in frame 0 and X at mid-time, and displacements d_ij from frame i to j. Then four
     frames give X0 = X - d01/2 + (d12 - d-10)/16 and dX/dt dt = (26 d01 - d-10 - d12)/24. Six give (34 d01 +
     10 (d-10 + d12) - 3 (d-2-1 + d23))/48 with 0.4 times the noise variance (frames = 6), or (2134 d01 - 116
     (d-10 + d12) + 9 (d-2-1 + d23))/1920, exact to the fifth degree (frames = 7).
@@ -283,7 +284,7 @@ def path_weights(times: Float, frames: int, at: Float | float = 0.0) -> Float:
 
 
 def five(steps: Sequence[Any]) -> list[Any]:
-    """Return a list of five steps, made from one, three or five by adding None on both sides."""
+    """Return a list of five steps, made from one, three or five steps by adding None at each end."""
     missing = [None] * (2 - len(steps) // 2)
     return [*missing, *steps, *missing]
 
@@ -296,13 +297,13 @@ def read_path(
     Y: Float,
     weights: Float,
 ) -> tuple[Float, NDArray[np.int64]]:
-    """Return the motion of the particles that are at pixels X, Y at mid-time, and the blocks read for it.
+    """Return a tuple: the motion of the particles that are at pixels X, Y at mid-time, and the blocks read.
 
-    The motion, (6,) + the shape of X, px, is dX/dt dt at mid-time, the displacement over the step (chord),
-    and the mean position in the step's two frames minus that at mid-time (bend), each along X, then Y. The
-    blocks, (5,) + the shape of X, are flat indices in the five steps, -1 if a step was not read. `splines`
-    are coefficients (ny, nx, 2), px, of one, three or five steps, None if missing; `valid` are masks of their
-    measured blocks; `weights` come from `path_weights`.
+    The motion has the shape (6,) + X.shape, px; each pair of rows is along X, then Y. Rows 0, 1: dX/dt dt at
+    mid-time. Rows 2, 3: displacement from frame to frame. Rows 4, 5: mean position in the step's two frames
+    minus that at mid-time. The blocks, (5,) + X.shape, are flat indices in the five steps, -1 if a step was
+    not read. `splines` are coefficients (ny, nx, 2), px, of one, three or five steps, None if missing;
+    `valid` are masks of measured blocks; `weights` come from `path_weights`.
     """
     nodes = np.shape(X)
     weights = np.asarray(weights, np.float32)
@@ -334,7 +335,7 @@ class CameraDisplacements:
     axes: Float  # (N, 3): viewing direction of each camera over its distance from the field's middle, 1/m
 
     def without(self, n: int) -> CameraDisplacements:
-        """Return the displacements without camera number n."""
+        """Return these displacements without camera number n, counted from 0."""
         rows, cameras = [2 * n, 2 * n + 1], n
         of_rows = ("jacobian", "moved", "noise", "missing", "chord", "bend")
         parts = {name: np.delete(getattr(self, name), rows, axis=0) for name in of_rows}
@@ -351,9 +352,10 @@ def displacements_at_nodes(
     times: Float,
     every: int = 1,
 ) -> CameraDisplacements:
-    """Read the displacements in the images of the cameras `names`, for the nodes at z (ny, nx) at mid-time.
-    `steps` are displacements by camera in one, three or five steps around; only each `every`-th node along x
-    and y is used. `times` (6,) of the frames are in frame intervals from mid-time."""
+    """Read the displacements in the images of cameras `names`, for particles at the nodes at mid-time.
+    z (ny, nx) is the nodes' elevation, m; only every `every`-th node along x and y is used. `steps` are the
+    displacements by camera in 1, 3 or 5 successive steps; `times` (6,) of the frames are in frame
+    intervals."""
     z = z[::every, ::every]
     count, shape = len(names), z.shape
     jacobian = np.empty((2 * count, 3, *shape), np.float32)
@@ -390,9 +392,9 @@ def displacements_at_nodes(
 def _along_path(
     path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float, weights: Float
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
-    """Return both results of `read_path` for one camera at pixels X, Y, and two variances, px^2.
-    The variances are due to noise, and to waves that the prior suppresses. In `path`, missing steps are
-    None."""
+    """Return a tuple for one camera: both results of `read_path` at pixels X, Y, and two variances, px^2.
+    The variances are due to noise, and due to waves that the prior suppresses. In `path`, the displacements
+    in successive steps, missing steps are None."""
     here = path[len(path) // 2]
     assert here is not None
     splines = [None if f is None else f.spline for f in path]
@@ -409,9 +411,9 @@ def _along_path(
 
 @compiled(error_model="numpy")
 def _noise_along(noises: tuple[Float, ...], block: NDArray[np.int64], weights: Float, out: Float) -> None:
-    """Write the noise variance of n displacements along paths to out (c, n), from the noise in five steps.
-    `noises` are (c, blocks) for each step; `block` (5, n) are the blocks read, -1 if none; `weights` (5, 5,
-    m) are by `FRAMES_OF_PATH` and by step."""
+    """Write the noise variance of displacements along n paths to out (c, n), from the noise in five steps.
+    `noises` are (c, blocks) for each step; `block` (5, n) are the blocks read, -1 if none. `weights` (5, 5,
+    m) are for the cases of `FRAMES_OF_PATH` (axis 0) and the steps (axis 1)."""
     bb, b, c, a, aa = noises
     for k in range(block.shape[1]):
         before, after = block[1, k] >= 0, block[3, k] >= 0

@@ -1,7 +1,7 @@
-"""Learn the beads, spectra and noise of a record from sample frames, once before its first step.
+"""Learn the beads, spectra and noise of a record from sample frames, once before its first step is measured.
 
-In this order: widths of the beads; first spectra, from matched fields; noise, from differences between the
-cameras, scaled so that their misfit has the median of chi^2; second spectra, with this noise; the kind of
+The stages in order: widths of the beads; first spectra, from matched fields; noise, from differences between
+the cameras, scaled so that their misfit has the median of chi^2; second spectra, with this noise; the kind of
 paths; ripples. The result is a frozen `LearnedRecord`, which is stored with the cube, so that all steps are
 weighted alike.
 """
@@ -133,7 +133,7 @@ def _learned(
     pool: ThreadPoolExecutor,
     frame_rate: float | None,
 ) -> LearnedRecord | None:
-    """Run all stages of `learn` in order, with a pool of threads; arguments are as in `learn`."""
+    """Run all stages of `learn` in order, with a pool of threads; other arguments are as in `learn`."""
     # widths of the beads, which the preparation of the images needs
     beads = _bead_widths(steps, masks, geometry, pool)
     samples = list(pool.map(partial(_SampleStep.match, geometry, beads), steps, masks))
@@ -189,7 +189,7 @@ def _learned(
 
 @dataclass(frozen=True)
 class _SampleStep:
-    """One sample step with its prepared images and its matches, which do not depend on a prior."""
+    """Prepared images of one sample step, with matches between cameras and in time, made without a prior."""
 
     flat: tuple[PreparedImages, PreparedImages]  # rectified, of both frames
     in_time: tuple[PreparedImages, PreparedImages]  # not rectified
@@ -204,8 +204,8 @@ class _SampleStep:
         frames: tuple[Frames, Frames],
         masks: tuple[Masks, Masks],
     ) -> _SampleStep:
-        """Prepare the images of the two frames of a step and match them, between cameras and in time.
-        `frames` and `masks` (True on pixels to ignore) are by camera, `beads` bead widths by camera, raw
+        """Prepare the images of both frames of a step, and match them between cameras and in time.
+        `frames` and `masks` (True on pixels to ignore) are by camera, and so are `beads`, bead widths, raw
         px."""
         one, two = (images_of(part, geometry, beads, mask) for part, mask in zip(frames, masks))
         flat, (first, second) = (one.rectified(), two.rectified()), (one.in_time(), two.in_time())
@@ -223,7 +223,7 @@ def _bead_widths(
     geometry: GridGeometry,
     pool: ThreadPoolExecutor,
 ) -> dict[str, float]:
-    """Return, by camera, the median width of the beads in the first frames, raw px; 0 for a texture."""
+    """Return, by camera, the median width of the beads in first frames of steps, raw px; 0 for a texture."""
     out = {}
     for name in geometry.cameras:
         images = [(first.get(name), mask.get(name)) for (first, _), (mask, _) in zip(steps, masks)]
@@ -239,7 +239,7 @@ def _bead_widths(
 
 @dataclass(frozen=True)
 class _FieldSample:
-    """One field (elevation or displacement) of a sample step, with functions that estimate it by a prior."""
+    """One field (elevation or displacement) of a sample step; its functions estimate it with a prior."""
 
     field: Float  # (c, ny, nx): the matched field, holes filled
     information: float  # mean over the blocks that have any
@@ -253,7 +253,8 @@ class _FieldSample:
 
 
 def _without_holes(found: elevation.ElevationEstimate | FlowEstimate) -> tuple[Float, float]:
-    """Return the coefficients of a MAP field, scaled up for its holes, and its mean information outside."""
+    """Return a tuple: coefficients of a MAP field, scaled up for its holes; mean inverse variance
+    elsewhere."""
     known = float(np.mean(found.information > 0))
     if not known:
         return found.waves, 0.0
@@ -263,7 +264,7 @@ def _without_holes(found: elevation.ElevationEstimate | FlowEstimate) -> tuple[F
 def _elevation_samples(
     steps: Sequence[_SampleStep], geometry: GridGeometry, pool: ThreadPoolExecutor, whole_beads: bool = False
 ) -> list[_FieldSample]:
-    """Return the elevation of the first frame of each sample step; steps without it are left out."""
+    """Return the elevation in the first frame of each sample step; steps without elevation are left out."""
 
     def sample_of(step: _SampleStep) -> _FieldSample | None:
         if step.pairs is None:
@@ -301,7 +302,7 @@ def _displacement_samples(
     geometry: GridGeometry,
     pool: ThreadPoolExecutor,
 ) -> list[_FieldSample]:
-    """Return the displacement of camera `name` in each sample step; steps without it are left out.
+    """Return the displacement of camera `name` in each sample step; steps without displacement are left out.
     `beads` are bead widths by camera, raw px."""
     area = displacement_area(beads.get(name, 0.0) / geometry.sights[name].binning)
 
@@ -323,7 +324,7 @@ def _displacement_samples(
 
 
 def _first_spectrum(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> Prior:
-    """Learn the prior of one kind of field from the spectrum of the matched fields, refined twice."""
+    """Learn a prior from the spectrum of the samples' matched fields; refine it twice by MAP estimates."""
     fields = [one.field - edge_field(one.field) for one in samples]
     typical = float(np.mean([one.information for one in samples]))
     prior = first_prior(fields, typical, samples[0].area)
@@ -333,8 +334,8 @@ def _first_spectrum(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -
 
 
 def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: ThreadPoolExecutor) -> Prior:
-    """Return a prior with the spectrum of the MAP fields that `prior` gives, with their noise subtracted.
-    For these fields, `prior` is raised to at least the signal-to-noise ratio `ratio`."""
+    """Return a prior with the spectrum, without noise, of the MAP fields that are estimated with `prior`.
+    For this estimate, the signal-to-noise ratio of `prior` is raised to at least `ratio`."""
     prior = prior.with_min_signal_to_noise(ratio)
     modes = Modes(prior, samples[0].field.shape[-2:])
     waves, information = zip(*pool.map(lambda one: one.estimate(modes), samples))
@@ -344,7 +345,7 @@ def _refined(samples: Sequence[_FieldSample], prior: Prior, ratio: float, pool: 
 
 
 def _elevation_prior(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) -> tuple[Prior, float]:
-    """Return the prior of z, including its wave fraction, and the variance of scores per unit of Hessian."""
+    """Return a tuple: prior of z with its wave fraction; variance of scores divided by their Hessian."""
     prior = _first_spectrum(samples, pool)
     information, variance, epipolar, of_scores = _summary(samples, prior, pool)
     prior = replace(prior, information=information)
@@ -353,14 +354,14 @@ def _elevation_prior(samples: Sequence[_FieldSample], pool: ThreadPoolExecutor) 
 
 
 def _summary(samples: Sequence[_FieldSample], prior: Prior, pool: ThreadPoolExecutor) -> list[float]:
-    """Return the mean over the samples of the four numbers of `_FieldSample.summary`, for this prior."""
+    """Return the four numbers of `_FieldSample.summary` for this prior, each averaged over the samples."""
     modes = Modes(prior, samples[0].field.shape[-2:])
     each = [one.summary for one in samples if one.summary]
     return [float(mean) for mean in np.mean(list(pool.map(lambda summary: summary(modes), each)), axis=0)]
 
 
 def _mean_elevation(step: _SampleStep, geometry: GridGeometry, model: FieldModel) -> Float | None:
-    """Return the mean z (ny, nx), metres, of both frames of a step; None if one cannot be measured."""
+    """Return z (ny, nx), metres, averaged over both frames of a step; None if one cannot be measured."""
     if step.pairs is None:
         first = elevation.surface(step.flat[0], geometry, model)
     else:
@@ -383,7 +384,7 @@ class _Differences:
 
     @classmethod
     def typical(cls, steps: Sequence[_Differences]) -> _Differences:
-        """Return the median of each number over several steps; the defaults if there are none."""
+        """Return the median of each number over several steps; the defaults if there are no steps."""
         if not steps:
             return cls()
         return cls(*map(float, np.median([astuple(one) for one in steps], axis=0)))
