@@ -59,10 +59,9 @@ def path_gain(phase: Float, frames: int) -> Float:
 def frame_weights(
     times: Float, frames: Sequence[int], smooth: bool = False, at: Float | float = 0.0
 ) -> tuple[Float, Float]:
-    """Return a tuple of weights (6, ...) of six frames: for a value at the time `at`, and for its rate of
-    change.
-    They follow from a polynomial through the frames numbered `frames` (0 to 5). If `smooth`, the rate is from
-    one of degree four near all frames, with less noise. `times` (6,) and `at` are in frame intervals."""
+    """Return a tuple of weights (6, ...) of six frames: for a value at the time `at`, and for its time slope.
+    They follow from a polynomial through the frames numbered `frames` (0 to 5). If `smooth`, the slope is
+    from one of degree four near all frames, with less noise. `times` (6,) and `at` are in frame intervals."""
     used = list(frames)
     powers = np.vander(times[used], increasing=True).T
     shape, count = np.shape(at), len(used)

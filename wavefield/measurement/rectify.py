@@ -1,4 +1,4 @@
-"""Rectify images to apparent positions on z = 0, and bin the images of finer cameras.
+"""Rectify images to the plane z = 0, and bin the images of cameras with finer pixels.
 
 An image is first resampled to a grid twice as fine, by quintic B-splines without prefilter, and then read by
 linear interpolation. The bias is 0.002 px; plain cubic interpolation of the image has 0.04 px.
@@ -35,7 +35,7 @@ def _double(
     image: NDArray[Any], first: int, scale: np.float32, rows: NDArray[Any], out: NDArray[Any]
 ) -> None:
     """Write an image, smoothed by the quintic B-spline and times `scale`, at whole and half pixels to `out`.
-    `out` has two rows for each row of the image from `first` on; `rows` (2, w + 8) is scratch."""
+    `out` has two rows for each row of the image from row `first` on; `rows` (2, w + 8) is working memory."""
     h, w = image.shape
     # values of the spline at distances 0, 1, 2 (a) and 1/2, 3/2, 5/2 (b)
     a0, a1, a2 = np.float32(66 / 120), np.float32(26 / 120), np.float32(1 / 120)
@@ -84,7 +84,7 @@ def _double(
 
 
 def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
-    """Return weighted means around squares of count x count px; 8-bit images become 16-bit, times 64.
+    """Reduce each square of count x count px to a weighted mean; 8-bit images become 16-bit, times 64.
     If `count` is 1, pixels stay as they are."""
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32)
@@ -108,7 +108,7 @@ def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
 
 @lru_cache(maxsize=8)
 def _weights(count: int) -> NDArray[np.float32]:
-    """Return the weights along one axis, (3 count,): a Gaussian of count / 2 px averaged over count px."""
+    """Return the weights (3 count,) along one axis: a Gaussian of count / 2 px, averaged over count px."""
     x = np.arange(-count, count + 1)
     out = np.convolve(np.exp(-2.0 * np.square(x / count)), np.ones(count))
     return np.asarray(out / out.sum(), np.float32)
@@ -122,8 +122,8 @@ def _in(y: Any, h: int) -> Any:
 
 @compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def _bin(image: NDArray[Any], weights: NDArray[Any], count: int, half: np.float32, out: NDArray[Any]) -> None:
-    """Write to `out`, for every square of count x count px, the sum of pixels weighted along both axes.
-    The `weights` (3 count,) reach over the neighbouring squares; `half` is added for rounding."""
+    """Write to `out`, for every square of count x count px, the sum of pixels weighted along x and y.
+    The `weights` (3 count,) reach over the neighbouring squares; `half` (0.5 or 0) is added for rounding."""
     h, w = image.shape
     reach, wide = np.int64(count), np.int64(out.shape[1])
     line = np.empty(w + 2 * reach, np.float32)
@@ -150,19 +150,19 @@ def _bin(image: NDArray[Any], weights: NDArray[Any], count: int, half: np.float3
 
 
 def binned(camera: Camera, count: int) -> Camera:
-    """Return the camera with the calibration that belongs to images binned by `bin_pixels`."""
+    """Return the camera with its size and calibration changed to those of images from `bin_pixels`."""
     width, height = camera.size
     return replace(camera.scaled(1.0 / count), size=(width // count, height // count))
 
 
 def _type_of_double(image: NDArray[Any]) -> np.dtype[Any]:
-    """Return the data type of an image after `_doubled`: uint16 for integers up to 16 bits, else float32."""
+    """Return the data type of `_doubled` images: uint16 for integer images up to 16 bits, else float32."""
     return np.dtype(np.uint16 if image.dtype in (np.uint8, np.uint16) else np.float32)
 
 
 def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[NDArray[Any]]:
-    """Yield the part of an image from row first to last, on a grid twice as fine, for each of `rows`.
-    All parts share the same memory."""
+    """Yield parts of an image on a grid twice as fine; `rows` holds the (first, last) row of each part.
+    All parts share the same memory; `last` is excluded."""
     if image.dtype not in (np.uint8, np.uint16):
         image = image.astype(np.float32, copy=False)
     image = np.ascontiguousarray(image)
@@ -177,9 +177,9 @@ def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[N
 
 
 def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, Float, NDArray[np.bool_]]:
-    """Return where a camera sees the points x (nx,), y (ny,), metres, on z = 0, and a mask, all (ny, nx).
-    Positions X, Y are in half pixels. The mask is True at least three pixels (the reach of the spline) inside
-    the image; elsewhere X is negative."""
+    """Return arrays (ny, nx): X, Y, where a camera sees the points x (nx,), y (ny,), m, on z = 0, and a mask.
+    X and Y are in half pixels. The mask is True at least three pixels (the reach of the spline) inside the
+    image; elsewhere X is negative."""
     X, Y = camera.project(x[None, :], y[:, None], 0.0)
     w, h = camera.size
     margin = 3.0
@@ -201,7 +201,7 @@ def rectify(image: NDArray[Any], X: Float, Y: Float) -> NDArray[Any]:
 
 
 def widen(image: NDArray[Any], x: float, y: float) -> NDArray[Any]:
-    """Blur an image by a Gaussian with the standard deviations x and y along its axes, px."""
+    """Blur an image by a Gaussian with the standard deviations x and y, px, along x and y."""
     sides = tuple(2 * int(np.ceil(2.5 * sigma)) + 1 if sigma >= 0.3 else 1 for sigma in (x, y))
     if sides == (1, 1):
         return image

@@ -1,4 +1,4 @@
-"""From blocks to nodes: fill holes, fit cubic splines, and read them where sight lines meet the surface."""
+"""From blocks to nodes: fill holes, fit cubic splines, read these where sight lines meet the surface."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +18,7 @@ Weights = tuple[np.float32, np.float32, np.float32, np.float32]  # spline weight
 
 @dataclass(frozen=True)
 class BlockLattice:
-    """Centres of blocks on a regular lattice in a plane, in metres or pixels."""
+    """Regular lattice of block centres in a plane, in metres or pixels."""
 
     x0: float  # position of block (0, 0)
     y0: float
@@ -27,17 +27,17 @@ class BlockLattice:
 
     @property
     def x(self) -> NDArray[Any]:
-        """Block centres along x, (nx,), in the unit of x0."""
+        """x of the block centres, (nx,), in the unit of x0."""
         return self.x0 + self.step * np.arange(self.shape[1])
 
     @property
     def y(self) -> NDArray[Any]:
-        """Block centres along y, (ny,), in the unit of y0."""
+        """y of the block centres, (ny,), in the unit of y0."""
         return self.y0 + self.step * np.arange(self.shape[0])
 
 
 def push_pull(fields: Float, valid: Mask) -> Float:
-    """Return fields (F, ny, nx), filled where not `valid` by averages over squares as large as needed."""
+    """Fill fields (F, ny, nx) where not `valid`, by averages over squares as large as needed."""
     # sums over squares of 1, 2, 4, ... blocks; the last plane is the number of valid blocks
     level = np.concatenate([np.where(valid, fields, 0), valid[None]]).astype(np.float32)
     levels = [level]
@@ -69,21 +69,21 @@ def _doubled(coarse: Float, shape: tuple[int, ...]) -> Float:
 
 
 def spline_prefilter(shape: tuple[int, int]) -> Float:
-    """Return the factors (ny, nx) from the cosine coefficients of a field to those of its cubic spline."""
+    """Return the factors (ny, nx) that turn cosine coefficients of a field into those of its cubic spline."""
     ky, kx = (np.pi * np.arange(n) / n for n in shape)
     spline = ((2.0 + np.cos(ky)) / 3.0)[:, None] * ((2.0 + np.cos(kx)) / 3.0)
     return (1.0 / spline).astype(np.float32)
 
 
 def interpolation_gain(q: Float) -> Float:
-    """Return the mean gain of cubic-spline interpolation between blocks, at wavenumbers q, rad per block.
-    q is along one axis; from pi on, the gain is 0."""
+    """Return the mean amplitude gain of cubic-spline interpolation between blocks, for wavenumbers q.
+    q, rad per block, is along one axis; from pi on, the gain is 0."""
     spline = np.sinc(q / (2 * np.pi)) ** 4 * 3.0 / (2.0 + np.cos(q))
     return np.where(np.abs(q) < np.pi, spline, 0.0)
 
 
 def local_coefficients(fields: Float) -> Float:
-    """Return the cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), accurate to 1e-3.
+    """Return the cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), accurate to a fraction of 1e-3.
     They come from a filter of 15 blocks."""
     pole = np.sqrt(3.0) - 2.0
     kernel = np.sqrt(3.0) * pole ** np.abs(np.arange(-7.0, 8.0))
@@ -103,7 +103,7 @@ def spline_weights(t: np.float32) -> Weights:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_slopes(t: np.float32) -> Weights:
-    """Return the derivatives of `spline_weights` with respect to t, per block."""
+    """Return the derivatives, per block, of the four `spline_weights` with respect to t."""
     s = np.float32(1.0) - t
     w0, w3 = np.float32(-0.5) * s * s, np.float32(0.5) * t * t
     w1 = np.float32(3.0) * w3 - np.float32(2.0) * t
@@ -112,7 +112,7 @@ def spline_slopes(t: np.float32) -> Weights:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32:
-    """Return the sum, weighted by w, of four elements of c from index k on, `step` apart.
+    """Return the sum of four elements of c, weighted by w; indices start at k and increase by `step`.
     Unsigned indices save numba a check of their sign."""
     out: np.float32 = (
         w[0] * c[k] + w[1] * c[k + step] + w[2] * c[k + step + step] + w[3] * c[k + step + step + step]
@@ -123,7 +123,7 @@ def spline_line(c: Float, k: np.uintp, step: np.uintp, w: Weights) -> np.float32
 @compiled(error_model="numpy", fastmath={"contract"})
 def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights, wy: Weights) -> np.float32:
     """Return the value of a spline from 4 x 4 of its coefficients c (flat), the first of them at index k.
-    `step` and `down` are the distances in c between neighbours along x and y; wx, wy are the weights."""
+    `step` and `down` are the distances in c between neighbours along x and y, with the weights wx and wy."""
     return (
         wy[0] * spline_line(c, k, step, wx)
         + wy[1] * spline_line(c, k + down, step, wx)
@@ -134,8 +134,8 @@ def spline_at(c: Float, k: np.uintp, step: np.uintp, down: np.uintp, wx: Weights
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def place_of(p: float, n: int) -> tuple[int, np.float32]:
-    """Split a position p, in blocks of a lattice of n, into a block number and the rest, 0 to 1.
-    Positions are first limited to at least one block from either end."""
+    """Split a position p, in blocks of a lattice of n, into a block number and a fraction, 0 to 1.
+    Positions are first limited to at least one block from each end."""
     lowest, highest = np.float32(1.0), np.float32(n) - np.float32(2.001)
     q = min(max(np.float32(p), lowest), highest)
     i: Any = np.int32(max(lowest, q))  # max(lowest, NaN) is lowest
@@ -153,8 +153,8 @@ def _read_along_lines(
     height: Float,
     out: Float,
 ) -> None:
-    """Write to out (n,) the spline where the sight lines from `centre` through (x, y, height) meet z = 0.
-    c (flat) are the coefficients on a lattice of `shape` (ny, nx); `lattice` is x0, y0 and 1 / step."""
+    """Write to out (n,) the spline where sight lines from `centre` through (x, y, height) meet z = 0.
+    c (flat) are spline coefficients on a lattice of `shape` (ny, nx); `lattice` is x0, y0 and 1 / step."""
     x0, y0, across = lattice
     cx, cy, cz = centre
     ny, nx = shape
@@ -178,8 +178,8 @@ def _read_surface(
     tolerance: np.float32,
     out: Float,
 ) -> None:
-    """Do what `read_surface` does, for flat coefficients c and out (rows, n); loops along rows vectorise.
-    `lattice` is x0, y0 and 1 / step of the lattice of `shape`."""
+    """Do the work of `read_surface` with flat coefficients c; write elevations to out (rows, n).
+    `lattice` is x0, y0 and 1 / step of the lattice of `shape`. The loops along rows are vectorised."""
     n = x.shape[1]
     before, height, found = np.zeros(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
     half = np.float32(0.5)
@@ -203,9 +203,9 @@ def _read_surface(
 def read_surface(
     spline: Float, lattice: BlockLattice, centre: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
 ) -> Float:
-    """Return the elevation (ny, nx), m, at points x, y on the water, from a spline in apparent positions.
-    It solves z = z_a(x_a), with the spline z_a at the apparent position x_a = c + (x - c) / (1 - z / c_z),
-    for a camera with the centre c = `centre`."""
+    """Return the elevation (ny, nx), m, at points x, y on the water, from a `spline` in apparent positions.
+    An apparent position is where the sight line from the camera at c = `centre` through a point meets z = 0.
+    The spline z_a is read at x_a = c + (x - c) / (1 - z / c_z), so that z = z_a(x_a) is solved."""
     out = np.empty(x.shape, np.float32)
     place = lattice.x0, lattice.y0, 1.0 / lattice.step
     camera = float(centre[0]), float(centre[1]), float(centre[2])
@@ -217,9 +217,9 @@ def read_surface(
 def blocks_below(
     lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the flat index of the block in which a camera sees each point, and a mask of points inside.
-    Points x, y, z (ny, nx) and the camera's `centre` are in metres. The mask is True on the lattice. The
-    outermost blocks are replaced by their inner neighbours."""
+    """Return a tuple: the flat index of the block in which a camera sees each point, and a mask (ny, nx).
+    Points x, y, z (ny, nx) and the camera's `centre` are in metres. The mask is True for points on the
+    lattice. The outermost blocks are replaced by their inner neighbours."""
     shrink = 1.0 / (1.0 - z / centre[2])
     row, column = (
         (c + (at - c) * shrink - first) / lattice.step

@@ -54,7 +54,7 @@ class FirstGuess:
 
 def first_guess(read: Read, cameras: Sequence[str], steps: Sequence[int]) -> FirstGuess:
     """Find the range of displacements in some steps, by a search for large patches in the next frame.
-    Displacements count if another patch confirms them. `read(camera, frame)` gives an image or None."""
+    A displacement counts if another patch confirms it. `read(camera, frame)` gives an image or None."""
     kept: list[NDArray[np.float64]] = [np.zeros((0, 2))]
     tried = 0
     for step in steps:
@@ -70,7 +70,7 @@ def first_guess(read: Read, cameras: Sequence[str], steps: Sequence[int]) -> Fir
 
 
 def wide_enough(settings: Settings, guess: FirstGuess) -> Settings:
-    """Return the settings with search ranges that contain `guess`; the same object if they did already."""
+    """Return settings whose search ranges contain `guess`; the same object if they contain it already."""
     low, high = settings.piv.search_x or (-4.0, 4.0)  # px: what the pyramid covers without a search
     if not guess.found or (low <= min(guess.x[0], guess.y[0]) and max(guess.x[1], guess.y[1]) <= high):
         return settings
@@ -108,8 +108,8 @@ class FirstHeights:
 
 def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> FirstHeights:
     """Find the range of elevations in some frames, by a search for large patches in rectified images.
-    A patch is searched for in the image of another camera, and z follows from the parallax. Only elevations
-    that agree with that of another patch count. `read(camera, frame)` gives an image or None."""
+    A patch is searched for in the image of another camera; z follows from the displacement. Only elevations
+    close to that of another patch count. `read(camera, frame)` gives an image or None."""
     kept: list[NDArray[np.float64]] = [np.zeros(0)]
     tried = 0
     agreement = max(0.25 * (geometry.z_range[1] - geometry.z_range[0]), 12 * geometry.pixel)
@@ -132,7 +132,7 @@ def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> 
 
 
 def _reach(pair: tuple[str, str], geometry: GridGeometry) -> tuple[int, int]:
-    """Return the largest parallax along x and y, rectified px, of the elevations of a coarse search."""
+    """Return the largest displacement along x and y, rectified px, that the coarse search must cover."""
     x, y = np.meshgrid(geometry.lattice.x[[0, -1]], geometry.lattice.y[[0, -1]])
     one, other = (np.array(geometry.rig[name].sight_line(x, y)) for name in pair)
     height = SEARCH_FACTOR * max(abs(z) for z in geometry.z_range) / geometry.pixel
@@ -143,7 +143,7 @@ def _reach(pair: tuple[str, str], geometry: GridGeometry) -> tuple[int, int]:
 def _heights(
     moved: NDArray[np.float64], pair: tuple[str, str], geometry: GridGeometry
 ) -> NDArray[np.float64]:
-    """Return z (n,), metres, of patches from their displacements (`shifts`) between two cameras' images.
+    """Return z (n,), metres, of patches from their displacements (`shifts`) between the images of a pair.
     Patches with a large epipolar error (a displacement that no elevation explains) are left out."""
     dx, dy, x, y = moved.T
     dx, dy = geometry.pixel * dx, geometry.pixel * dy
@@ -160,7 +160,7 @@ def _heights(
 
 
 def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, FirstHeights]:
-    """Return settings and `found`, with a wider range of z if the heights found fill more than 0.6 of it."""
+    """Return a tuple: settings and `found`; if `found` fills over 0.6 of z_range, z_range is made wider."""
     low, high = found.searched
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if not found.found or all(abs(z - middle) < MAX_FILLED_RANGE * half for z in found.z):
@@ -172,8 +172,8 @@ def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, Firs
 
 def search_widened(pairs: Iterable[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
     """Return the geometry with search ranges that suit some frames; the same object if they suffice.
-    `pairs` are the first and second frames, by camera, of sample steps; only two steps are searched. Ranges
-    that the user has set do not change."""
+    `pairs` are the first and second images, by camera, of sample steps; only SEARCHED_STEPS are searched.
+    Ranges that the user has set do not change."""
     steps = list(islice(pairs, SEARCHED_STEPS))
 
     def read(name: str, frame: int) -> NDArray[Any] | None:
@@ -194,8 +194,8 @@ def search_widened(pairs: Iterable[tuple[Images, Images]], geometry: GridGeometr
 
 
 def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
-    """Return whether more than 1 % of the elevations z lie within 3 % of an end of the range, or beyond.
-    `searched` is this range, in the unit of z; the 3 % refer to its span."""
+    """Return whether over 1 % of the elevations z lie outside the search range or within 3 % of its ends.
+    `searched` is the search range, in the unit of z; the 3 % are of its width."""
     known = z[np.isfinite(z)]
     if not known.size:
         return False

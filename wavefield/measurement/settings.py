@@ -145,10 +145,10 @@ class Settings:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], path: Path | None = None) -> Settings:
-        """Make settings from the data that `to_dict` returned; missing ones keep their defaults.
+        """Make settings from data in the form that `to_dict` returns; missing ones keep their defaults.
 
-        ``stereo`` and ``piv`` need only the settings that differ. With ``preset``, the defaults are those of
-        `adjusted`. ExperimentError, which names the file `path` and the line, if a setting is not valid.
+        Only settings that differ are needed in ``stereo`` and ``piv``. With ``preset``, the defaults are
+        those of `adjusted`. If a setting is not valid, ExperimentError names the file `path` and the line.
         """
         values: dict[str, Any] = dict(data)
         preset = values.pop("preset", "floating")
