@@ -1,7 +1,7 @@
 """Check target views before a calibration and the fitted rig after it; report problems in sentences.
 
 A pose is one position of the target, which several cameras photograph; a view is the image of one pose by one
-camera. A node is a marked point of the target, for example a corner or a dot.
+camera. A node is a marked point of the target, for example a dot. Findings are problems and notes.
 """
 
 from collections import Counter
@@ -32,7 +32,7 @@ from wavefield.rig.water_level import WaterPlane, fit_plane
 
 @dataclass(frozen=True)
 class FlatSurface:
-    """Target nodes of one pose, usually of the target flat on z = 0, triangulated from two or more cameras.
+    """Target nodes in one pose, usually flat on z = 0, triangulated from two or more cameras.
     z is the measured minus the expected height of each node, so it is zero for a perfect rig."""
 
     x: Array  # (n,): Measured position of each node, metres
@@ -57,7 +57,7 @@ def _rms(values: Array) -> float:
 
 def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> FlatSurface | None:
     """Triangulate with `rig` the target nodes of the pose named `pose` that two or more cameras see.
-    Expected heights come from `fit`. Returns None if fewer than ten nodes can be triangulated."""
+    `fit` gives the expected heights. Returns None if fewer than ten nodes can be triangulated."""
     o = observations
     N, C = len(o.nodes), len(o.cameras)
     apparent, sight = np.full((C, 2, N), np.nan), np.full((C, 2, N), np.nan)
@@ -76,7 +76,7 @@ def flat_surface(observations: Observations, fit: Fit, rig: Rig, pose: str) -> F
 
 def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, str], Array]:
     """Return signed distances (m,), px, of target nodes from their epipolar lines, by pair of camera names.
-    Distances are in the second camera's image. Pairs of cameras without a common node are left out."""
+    Distances are in the image of the pair's second camera. Pairs without a common node are left out."""
     o = observations
     key = o.pose * len(o.nodes) + o.node
     out = {}
@@ -91,7 +91,7 @@ def epipolar_residuals(observations: Observations, rig: Rig) -> dict[tuple[str, 
 
 
 def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float:
-    """Return the median width, metres, of one pixel of camera number `camera`, projected to the target."""
+    """Return the width, metres, of a pixel of camera number `camera`, projected to the target (median)."""
     g = fit.geometry
     world = g.world(observations)[observations.camera == camera]
     depth = (world @ g.R[camera].T + g.T[camera])[:, 2]
@@ -101,9 +101,9 @@ def _pixel_on_target(fit: Fit, observations: Observations, camera: int) -> float
 def residual_summary(
     observations: Observations, fit: Fit, rig: Rig, reference: str
 ) -> tuple[dict[str, Any], FlatSurface | None]:
-    """Return a nested dict of rms and largest residuals, and the triangulated nodes of the pose `reference`.
-    The keys are ``cameras``, ``epipolar`` and ``flat_target``; the ending of each inner key is its unit.
-    If too few nodes can be triangulated, the second result is None and ``flat_target`` is missing."""
+    """Return residuals (rms, largest) as a nested dict, and the triangulated nodes of the pose `reference`.
+    The dict has the keys ``cameras``, ``epipolar`` and ``flat_target``; an inner key ends with its unit. If
+    too few nodes can be triangulated, the nodes are None and ``flat_target`` is missing."""
     o = observations
     cameras = {}
     for c, name in enumerate(o.cameras):
@@ -151,7 +151,7 @@ MIN_STD = 1e-4  # px: no image gives a smaller uncertainty
 
 
 def usable_views(views: Views, findings: Findings) -> UsableViews:
-    """Return the views, by camera and pose, with enough nodes and the camera's most frequent image size.
+    """Return the views with enough nodes and the usual image size of their camera, by camera and pose.
     Rejected views, and cameras without a usable view, are recorded in `findings`."""
     usable: UsableViews = {}
     for name, by_pose in views.items():
@@ -176,8 +176,8 @@ def usable_views(views: Views, findings: Findings) -> UsableViews:
 def _common_size(
     name: str, by_pose: Mapping[str, TargetPoints], findings: Findings
 ) -> tuple[int, int] | None:
-    """Return the most frequent image size (width, height), px, of the camera `name`; None if it has no views.
-    If its images differ in size, a problem is added to `findings`."""
+    """Return the most frequent image size (width, height), px, of the camera `name`; None without views.
+    If the camera's images differ in size, a problem is added to `findings`."""
     sizes = {pose: (int(points.size[0]), int(points.size[1])) for pose, points in by_pose.items()}
     if not sizes:
         return None
@@ -192,7 +192,7 @@ def _common_size(
 
 
 def _finite(points: TargetPoints) -> TargetPoints:
-    """Return the points with finite position and uncertainty; uncertainties are at least `MIN_STD`, px."""
+    """Return the points with finite position and uncertainty, of at least `MIN_STD` px."""
     finite = np.isfinite(points.pixel).all(axis=-1) & np.isfinite(points.std)
     return replace(
         points,
@@ -210,7 +210,7 @@ def calibrate_each(
     flat: str,
     findings: Findings,
 ) -> dict[str, SingleCamera]:
-    """Calibrate each camera from its own views; return the successful ones by name.
+    """Calibrate each camera from its own views; return the cameras for which this succeeds, by name.
     Problems are added to `findings`, and bad views are removed from `usable` in place. `mesh` is the distance
     between neighbouring target nodes and `origin` the position of node (0, 0), in metres; `flat` is the name
     of the pose on z = 0."""
@@ -245,9 +245,9 @@ def calibrate_each(
 def consistent_cameras(
     single: dict[str, SingleCamera], usable: UsableViews, mesh: float, findings: Findings
 ) -> dict[str, SingleCamera]:
-    """Return the largest group of cameras that agree on the target's poses; one camera if none share a pose.
-    Views that contradict other cameras are removed from `single` and `usable` in place. `mesh` is the
-    distance between neighbouring target nodes, metres."""
+    """Return the largest group of cameras that agree on the target's poses, by name.
+    If no cameras share a pose, it is the one with most views. Views that contradict other cameras are removed
+    from `single` and `usable` in place. `mesh` is the distance between neighbouring nodes, metres."""
     consistency = compare_poses(single, mesh)
     _report_inconsistency(consistency, single, mesh, findings)
     for name, pose in consistency.wrong_views:
@@ -302,8 +302,8 @@ def assess_rig(
     findings: Findings,
 ) -> None:
     """Check predicted errors, image coverage and camera distances of a fitted rig against `LIMITS`.
-    Problems and notes are added to `findings`. `camera_distance` holds distances from the origin that the
-    user measured, metres, by camera; `target_std` is the standard uncertainty of node positions, metres."""
+    Problems and notes are added to `findings`. `camera_distance` holds the user's measured distances from the
+    origin, metres, by camera; `target_std` is the standard uncertainty of node positions, metres."""
     for c, name in enumerate(o.cameras):
         stated = camera_distance.get(name)
         if stated:

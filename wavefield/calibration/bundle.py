@@ -1,8 +1,7 @@
-"""Bundle adjustment: fit all cameras and target poses together, and return the covariance of the parameters.
+"""Bundle adjustment: fit all cameras and target poses together; estimate the covariance of the parameters.
 
 The parameters x (p,) are steps from start values: lens terms of each camera, and a rotation vector and a
-translation for each camera and for each pose of the target that is not fixed. A node is a marked point of the
-target.
+translation for each camera and for each free pose of the target. A node is a marked point of the target.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,7 +31,7 @@ TERMS: dict[str, tuple[str, ...]] = {
 
 
 def _turned(rotation: Array, vector: Array) -> tuple[Array, Array]:
-    """Return `rotation` (3, 3) times the rotation by `vector` (3,), rad, and its derivatives (3, 3, 3).
+    """Return `rotation` (3, 3) times the rotation by `vector` (3,), rad, and the derivatives (3, 3, 3).
     The first index of the derivatives is the component of `vector`."""
     R, jacobian = cv2.Rodrigues(np.asarray(vector, float))
     derivative = np.asarray(jacobian, float).reshape(3, 3, 3)
@@ -49,8 +48,8 @@ class ParameterLayout:
     pose: tuple[int | None, ...]  # Per pose: where its six parameters start in x; None for a fixed pose
 
     def pose_step(self, p: int, x: Array) -> Array:
-        """Return the part (6,) of x for target pose number p: rotation vector, rad, then translation, m.
-        It is zero for a fixed pose."""
+        """Return the six parameters in x of target pose number p: rotation vector, rad, then translation, m.
+        They are zero for a fixed pose."""
         k = self.pose[p]
         return np.zeros(6) if k is None else x[k : k + 6]
 
@@ -67,9 +66,9 @@ def layout(
     reference: int,
     placed: Sequence[int] = (),
 ) -> ParameterLayout:
-    """Assign a position in the parameter vector to each unknown of the bundle adjustment.
-    `models` holds, for each camera, its free lens terms (keys of `TERMS`). The target poses with the
-    indices `reference` and `placed` stay fixed."""
+    """Return the position in the parameter vector of each unknown of the bundle adjustment.
+    `models` holds, for each camera, its free lens terms (keys of `TERMS`). The target poses with the indices
+    `reference` and `placed` stay fixed."""
     names: list[str] = []
     lens, camera = [], []
     for c, name in enumerate(observations.cameras):
@@ -87,7 +86,7 @@ def layout(
 
 
 def stepped(start: Geometry, plan: ParameterLayout, x: Array) -> Geometry:
-    """Return cameras and target poses: `start` changed by the parameters x (p,); x = 0 changes nothing."""
+    """Return the cameras and target poses of `start` after a step x (p,); x = 0 changes nothing."""
     lens, R, T = start.lens.copy(), start.R.copy(), start.T.copy()
     pose_R, pose_t = start.pose_R.copy(), start.pose_t.copy()
     for c, columns in enumerate(plan.lens):
@@ -121,9 +120,9 @@ def predict(geometry: Geometry, observations: Observations) -> Array:
 def linearised(
     start: Geometry, plan: ParameterLayout, x: Array, observations: Observations
 ) -> tuple[Array, Array, Array]:
-    """Return the predicted pixels (n, 2) of the observed target nodes after a step x (p,) from `start`.
-    Also returns the derivatives of these pixels by the parameters x, (n, 2, p), and by the position of the
-    node in the axes of the target, (n, 2, 3), px/m."""
+    """Return pixels (n, 2) of the observed target nodes after a step x (p,) from `start`, and derivatives.
+    The first derivatives are by the parameters x, (n, 2, p), the second by the position of the node in the
+    axes of the target, (n, 2, 3), px/m."""
     o = observations
     now = stepped(start, plan, x)
     local = (o.nominal + now.offset)[o.node]
@@ -182,9 +181,9 @@ HUBER_LIMIT = 4.0  # standard deviations beyond which the loss grows linearly; f
 
 class Whitener:
     """Multiplies residuals by C^(-1/2), which removes the correlation that errors of node positions cause.
-    C = I + target_std^2 B B^T is the covariance of the normalised residuals; `target_std`, m, is the
-    standard uncertainty of node positions. B consists of `by_node` (n, 2, 3), 1/m: the derivatives of
-    residuals by the position of the target node with index `node` (n,)."""
+    C = I + target_std^2 B B^T is the covariance of the normalised residuals; `target_std`, m, is the standard
+    uncertainty of node positions. B is made of `by_node` (n, 2, 3), 1/m: the derivatives of the residuals by
+    the position of a target node. `node` (n,) is the index of that node."""
 
     def __init__(self, node: NDArray[np.int64], by_node: Array, target_std: float):
         n, count = len(node), int(node.max()) + 1
@@ -205,7 +204,7 @@ class Whitener:
         self._gain = target_std * _blocks((axes / (1.0 + size)[:, None, :]) @ axes.transpose(0, 2, 1))
 
     def __call__(self, rows: Array) -> Array:
-        """Return residuals (2n,) or their Jacobian (2n, p) multiplied by C^(-1/2); C is their covariance."""
+        """Return residuals (2n,), or their Jacobian (2n, p), multiplied by C^(-1/2)."""
         whitened: Array = rows - self._B @ (self._half @ (self._Bt @ rows))
         return whitened
 
@@ -226,7 +225,7 @@ def _blocks(matrices: Array) -> sparse.csr_array:
 
 
 def huber(r: Array, limit: float) -> float:
-    """Return the sum of Huber's loss of residuals r: r^2 for |r| up to `limit`, linear in |r| above it."""
+    """Return the sum of Huber's loss over residuals r: r^2 for |r| up to `limit`, linear in |r| above it."""
     size = np.abs(r)
     return float(np.sum(np.where(size <= limit, size * size, limit * (2.0 * size - limit))))
 
@@ -239,9 +238,9 @@ def minimise(
     tolerance: float,
 ) -> tuple[Array, float]:
     """Minimise Huber's loss of the residuals from the start x (p,) by the Levenberg-Marquardt method.
-    `with_jacobian` returns residuals and their derivatives. The search ends when a step would lower the
-    loss by less than the fraction `tolerance`. Returns x, and the size of residual above which the loss is
-    linear: `limit`, or four robust standard deviations if `limit` is None."""
+    `with_jacobian` returns residuals and their derivatives. The search ends when a step would lower the loss
+    by less than the fraction `tolerance`. Returns the best x, and the limit of Huber's loss: `limit`, or four
+    robust standard deviations of the residuals if that is None."""
     damping = 1e-4
     diagonal = np.zeros_like(x)
     scale = 0.0
@@ -297,8 +296,8 @@ def fit(
 ) -> Fit:
     """Fit all cameras and target poses to all observations (bundle adjustment with Huber's loss).
     `models` holds the free lens terms of each camera; the poses with the indices `reference` and `placed`
-    stay fixed. `target_std`, m, is the standard uncertainty of node positions. `noise_scale` is the ratio
-    of actual to stated pixel noise and sets Huber's limit; None estimates it."""
+    stay fixed. `target_std`, m, is the standard uncertainty of node positions. `noise_scale` is actual over
+    stated pixel noise and sets Huber's limit; if None, it is estimated."""
     o = observations
     plan = layout(o, models, reference, placed)
     start = replace(start, offset=np.zeros_like(start.offset))

@@ -1,7 +1,7 @@
 """Start values of the joint fit: calibrate each camera alone, compare the results, use one common frame.
 
-`R` and `T` transform from the world to a camera, Xc = R x + T. A pose (R, t) places the target in a camera's
-frame, or the frame of one camera in that of another. A node is a marked point of the target.
+`R` and `T` transform from the world to a camera, Xc = R x + T. A pose (R, t) transforms from the target to a
+camera's frame, or from the frame of one camera to that of another. A node is a marked point of the target.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,21 +21,21 @@ Pose = tuple[Array, Array]  # rotation (3, 3), translation (3,), metres
 
 def camera_to_camera(a: Pose, b: Pose) -> Pose:
     """Return the transformation (R, t), t in metres, from the frame of camera a to the frame of camera b.
-    `a` and `b` are the poses of the same target in the two frames."""
+    `a` and `b` are the poses of one target in the frames of the two cameras."""
     (Ra, ta), (Rb, tb) = a, b
     R = Rb @ Ra.T
     return R, tb - R @ ta
 
 
 def mean_pose(poses: Iterable[Pose]) -> Pose:
-    """Average similar poses: mean of the rotations, made orthogonal, and median of the translations."""
+    """Return the average of similar poses: the orthogonalised mean rotation and the median translation."""
     rotations, translations = zip(*poses, strict=True)
     U, _, V = np.linalg.svd(np.mean(np.stack(rotations), axis=0))
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V, np.median(translations, axis=0)
 
 
 def angle_between(A: Array, B: Array) -> float:
-    """Return the angle, degrees, of the rotation that takes orientation A (3, 3) to B (3, 3)."""
+    """Return the angle, degrees, of the rotation that takes the orientation A (3, 3) to B (3, 3)."""
     chord = np.linalg.norm(A - B) / np.sqrt(8.0)
     return float(np.degrees(2.0 * np.arcsin(min(chord, 1.0))))
 
@@ -56,7 +56,7 @@ class SingleCamera:
 
 
 def homography(plan: Array, pixel: Array) -> Array | None:
-    """Return a homography (3, 3) from points `plan` (n, 2), m, on a plane to pixels (n, 2), without outliers.
+    """Fit a homography (3, 3) from points `plan` (n, 2), m, on a plane to pixels (n, 2); ignore outliers.
     Returns None for fewer than six points, for points on a line, or if fewer than half of the points fit."""
     if len(plan) < 6 or np.linalg.matrix_rank(plan - plan.mean(0), tol=1e-9) < 2:
         return None
@@ -85,7 +85,7 @@ def focal_length(homographies: list[Array], centre: Array) -> float | None:
 
 
 def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
-    """Return lens parameters (12,), in the order of `LENS`, and the camera matrix (3, 3) of an ideal lens.
+    """Return the lens terms (12,), in the order of `LENS`, and the camera matrix (3, 3) of an ideal lens.
     The focal length is f, px; the principal point is the centre of an image of `size` (width, height), px."""
     cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
     lens = np.zeros(len(LENS))
@@ -94,7 +94,7 @@ def _pinhole(f: float, size: tuple[int, int]) -> tuple[Array, Array]:
 
 
 def plane_pose(H: Array, K: Array) -> Pose:
-    """Return the pose of a plane in the frame of a camera.
+    """Return the pose (R, t), t in metres, of a plane in the frame of a camera.
     H (3, 3) is the homography from metres on the plane to pixels, K (3, 3) the camera matrix."""
     h = np.linalg.solve(K, H)
     h /= 0.5 * (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1]))
@@ -106,7 +106,7 @@ def plane_pose(H: Array, K: Array) -> Pose:
 
 
 def calibrate_single(observations: Observations) -> SingleCamera:
-    """Calibrate one camera alone; start values come from known node positions, or else from Zhang's method.
+    """Calibrate one camera alone. Start values come from known node positions, else from Zhang's method.
     Raises a CalibrationError if the views do not determine the focal length."""
     o = observations
     start, poses = _from_known_heights(o) if o.placed else _from_planes(o)
@@ -119,7 +119,7 @@ def calibrate_single(observations: Observations) -> SingleCamera:
 
 
 def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
-    """Return the geometry of one camera from its lens terms (12,) and the target poses in the camera's frame.
+    """Return a geometry with one camera, of lens terms (12,), and the given target poses in its frame.
     The keys of `poses` are pose indices. The pose with the smallest index becomes the world frame."""
     pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
     world, origin = poses[min(poses)]
@@ -129,7 +129,7 @@ def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
 
 
 def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
-    """Return start values of one camera by Zhang's method, and the indices of the poses found."""
+    """Return start values of one camera by Zhang's method, and the indices of its poses."""
     (name,), (size,) = o.cameras, o.sizes
     maps: dict[int, Array] = {}
     depth: dict[int, float] = {}
@@ -163,7 +163,7 @@ def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
 
 
 def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
-    """Return start values of one camera from nodes of known position, and the indices of the poses found."""
+    """Return start values of one camera from nodes of known position, and the indices of its poses."""
     (name,), (size,) = o.cameras, o.sizes
     rows = np.isin(o.pose, o.placed)
     points, pixel = o.nominal[o.node[rows]], o.pixel[rows]
@@ -210,7 +210,7 @@ MAX_SHIFT = 0.4  # meshes between the same; counting from a wrong node shifts th
 
 @dataclass(frozen=True)
 class PoseConsistency:
-    """Result of `compare_poses`: views and cameras whose target poses contradict the other cameras."""
+    """Result of `compare_poses`: views and cameras with target poses that contradict the other cameras."""
 
     wrong_views: list[tuple[str, str]]  # (camera, pose) of single views that differ from all others
     wrong_cameras: list[str]  # Cameras outside the largest group of consistent ones
@@ -218,13 +218,13 @@ class PoseConsistency:
 
 
 def transforms_by_pose(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
-    """Return the transformation (R, t) from camera a's frame to camera b's, computed from each common pose.
-    The keys are names of poses. All transformations are equal if the cameras agree."""
+    """Return the transformation (R, t) from camera a's frame to camera b's, from each pose that both saw.
+    The keys are names of poses. If the cameras agree, all transformations are equal."""
     return {pose: camera_to_camera(a.poses[pose], b.poses[pose]) for pose in a.poses if pose in b.poses}
 
 
 def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsistency:
-    """Find views and cameras whose target poses contradict the other cameras.
+    """Find views and cameras with target poses that contradict the other cameras.
     `mesh` is the distance between neighbouring target nodes, metres."""
     names = list(cameras)
     pairs = [(a, b) for a, b in combinations(names, 2) if set(cameras[a].poses) & set(cameras[b].poses)]
@@ -241,9 +241,9 @@ def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsi
 
 
 def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> dict[str, bool] | None:
-    """Return, by name of each common pose, whether two cameras agree on it.
-    The result is empty for fewer than two common poses, which cannot be compared, and None if the cameras
-    agree on too few of them. `mesh` is the distance between neighbouring target nodes, metres."""
+    """Return, for each pose of the target that two cameras saw, whether they agree on it, by pose name.
+    With one common pose or none, the cameras cannot be compared and the result is empty. It is None if they
+    agree on too few poses. `mesh` is the distance between neighbouring target nodes, metres."""
     common = transforms_by_pose(a, b)
     if len(common) < 2:
         return {}
@@ -262,8 +262,8 @@ def _wrong_views(
     names: Sequence[str], pairs: Mapping[tuple[str, str], Mapping[str, bool]]
 ) -> list[tuple[str, str]]:
     """Return the views (camera, pose) to leave out, because no other camera agrees on the pose of the target.
-    `pairs` holds, by pair of cameras and by pose, whether the two agree. For each pose, this is the one
-    camera without an agreeing partner, or all cameras if no two agree. In other cases none is left out."""
+    For each pose this is the one camera that agrees with none, or every camera if no two agree; else no view
+    is left out. `pairs` tells, by pair of cameras and by pose, whether the two agree."""
     comparisons: dict[tuple[str, str], list[bool]] = {}  # (camera, pose): agreement with each partner
     for cameras, agreement in pairs.items():
         for pose, good in agreement.items():
@@ -279,7 +279,7 @@ def _wrong_views(
 
 
 def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
-    """Return the camera `name` and all cameras that are linked to it, directly or through other cameras.
+    """Return the camera `name` and all cameras linked to it, directly or through other cameras.
     `links` are the pairs of cameras that agree."""
     group = [name]
     for member in group:
@@ -289,7 +289,7 @@ def _linked(name: str, links: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) -> Array:
-    """Return the vector (3,), m, between the positions of the target's origin found by cameras a and b.
+    """Return the vector (3,), m, from the target's origin as found by camera b to that found by camera a.
     It is in b's frame and perpendicular to b's sight line. R and t transform from a's frame to b's."""
     expected = R @ a.poses[pose][1] + t
     observed = b.poses[pose][1]
@@ -299,14 +299,14 @@ def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) 
 
 
 def mirrored(camera: SingleCamera) -> SingleCamera:
-    """Return the camera with the poses that its images would give if they were flipped from left to right."""
+    """Return the camera with the poses that it would have if its images were flipped from left to right."""
     F, G = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
     return replace(camera, poses={pose: (F @ R @ G, F @ t) for pose, (R, t) in camera.poses.items()})
 
 
 def linked_cameras(cameras: Mapping[str, SingleCamera], first: str) -> dict[str, Pose]:
-    """Return the transformation from the frame of camera `first` to that of each linked camera, by name.
-    Cameras are linked if they saw the same poses of the target, directly or through other cameras."""
+    """Return, by name, the transformation from the frame of camera `first` to that of each linked camera.
+    Cameras are linked if they saw a common pose of the target, directly or through other cameras."""
     out: dict[str, Pose] = {first: (np.eye(3), np.zeros(3))}
     while True:
         rest = [b for b in cameras if b not in out]
@@ -321,7 +321,7 @@ def linked_cameras(cameras: Mapping[str, SingleCamera], first: str) -> dict[str,
 
 @dataclass(frozen=True)
 class PhysicalFrame:
-    """The indices of the target poses that define z = 0 and the axes of the rig's frame."""
+    """Indices of the target poses that define z = 0 and the axes of the rig's frame."""
 
     reference: int  # The pose whose axes are those of the frame
     placed: tuple[int, ...] = ()  # Poses whose nodes have known positions in this frame
@@ -329,9 +329,9 @@ class PhysicalFrame:
 
 
 def physical_frame(observations: Observations, flat: str, findings: Findings) -> PhysicalFrame:
-    """Choose the poses that define the rig's frame: known positions, else `flat`, else the most observed.
-    `flat` is the name of the pose on z = 0, or empty. If the last choice is needed, `findings` explains
-    it."""
+    """Choose the poses that define the rig's frame: those of known position, else `flat`, else one pose.
+    `flat` is the name of the pose on z = 0, or empty. The last resort is the pose that most cameras saw;
+    `findings` then explains it."""
     o = observations
     if o.placed:
         return PhysicalFrame(o.placed[0], placed=o.placed)
@@ -354,7 +354,7 @@ def physical_frame(observations: Observations, flat: str, findings: Findings) ->
 def start_geometry(
     observations: Observations, single: Mapping[str, SingleCamera], frame: PhysicalFrame
 ) -> Geometry:
-    """Return all cameras and poses of the target in the rig's common frame, as start values of the joint fit.
+    """Return all cameras and target poses in the rig's common frame, as start values of the joint fit.
     `single` holds the cameras calibrated alone, by name."""
     o = observations
     reference = o.poses[frame.reference]

@@ -1,4 +1,4 @@
-"""Find a grid of dots and the centres of the dots.
+"""Find a grid of dots and the centres of these dots.
 
 A blob is a bright connected shape in an image, a candidate for a dot.
 """
@@ -53,7 +53,7 @@ def find_blobs(image: Image) -> tuple[Array, Array]:
 
 
 def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
-    """Return the centroids (n, 2), px, of bright dots in uneven light, and the noise (n,) of each, px.
+    """Return the centroids (n, 2), px, of bright dots in uneven light, and their standard errors (n,), px.
     `node` (n, 2) are the indices of the dots in their grid, `pixel` (n, 2) their approximate positions."""
     windows = _windows(image, node, pixel)
     level = np.array([np.percentile(value, [10, 98]) for _, _, value in windows])
@@ -84,7 +84,7 @@ def centroids(image: Image, node: Nodes, pixel: Array) -> tuple[Array, Array]:
 
 
 def _windows(image: Image, node: Nodes, pixel: Array) -> list[tuple[Nodes, Nodes, Array]]:
-    """Return, for each dot, the columns, rows and grey values (m,) of the pixels around it.
+    """Return, for each dot, the columns, rows and grey values, (m,) each, of the m pixels around it.
     The pixels reach half-way to the neighbouring dots. `pixel` (n, 2) are the positions of the dots."""
     half_mesh = 0.5 * SmoothMap(node, pixel).slopes(node)
     inverse = np.linalg.inv(np.moveaxis(half_mesh, 1, 2))
@@ -115,7 +115,7 @@ def _dilated(x: Nodes, y: Nodes, mask: Mask, at: Array) -> Mask:
 
 
 def centroid_bias(node: Nodes, pixel: Array, radius: float) -> Array:
-    """Return the error (n, 2), px, of dots' centroids as positions of their centres, caused by perspective.
+    """Return the perspective error (n, 2), px: the centroid of a dot's image minus the image of its centre.
     `radius` is the radius of a dot in units of the distance between neighbouring dots."""
     smooth = SmoothMap(node, pixel)
     rings, spokes = 4, 12
@@ -139,9 +139,8 @@ def number_right_handed(
     image: Image | None, node: Nodes, pixel: Array, shape: tuple[int, int]
 ) -> tuple[Nodes, tuple[str, ...]]:
     """Renumber the nodes of a complete grid right-handed seen from above; return indices (n, 2) and notes.
-    `shape` is the number of nodes along x and y. If several numberings remain, x is to the right in the
-    image. `image` is given only for a chessboard, where the square between nodes (0, 0) and (1, 1) is
-    dark."""
+    `shape` is the number of nodes along x and y. If several numberings are possible, x is to the right in the
+    image. `image` is needed only for a chessboard: its square between nodes (0, 0) and (1, 1) is dark."""
     last = np.array(shape) - 1
     if cross(*SmoothMap(node, pixel).slopes(last[None] / 2)[0]) > 0:
         node = np.stack([node[:, 0], last[1] - node[:, 1]], -1)
@@ -165,7 +164,7 @@ def number_right_handed(
 
 
 def _first_square_dark(image: Image, node: Nodes, pixel: Array, shape: tuple[int, int]) -> bool:
-    """Return whether the square of a chessboard between nodes (0, 0) and (1, 1) is dark.
+    """Tell whether the square of a chessboard between the nodes (0, 0) and (1, 1) is dark.
     `shape` is the number of inner corners along x and y."""
     a, b = (v.ravel() for v in np.meshgrid(np.arange(shape[0] - 1), np.arange(shape[1] - 1)))
     x, y = np.rint(SmoothMap(node, pixel)(np.stack([a, b], -1) + 0.5)).astype(int).T
@@ -178,9 +177,9 @@ def _first_square_dark(image: Image, node: Nodes, pixel: Array, shape: tuple[int
 def dot_centres(
     image: Image, node: Nodes, pixel: Array, target: Target, meshes: int = 1
 ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return the centres (n, 2) of dots, px, their noise (n,), px, and notes for the user.
-    If the target states the dots' diameter, centres are corrected for perspective. `meshes` is the distance
-    between neighbouring dots of `node`, in units of the target's `mesh`."""
+    """Return the centres (n, 2) of dots, px, their standard errors (n,), px, and notes for the user.
+    If the target states the diameter of the dots, centres are corrected for perspective. `meshes` is the
+    distance between dots with neighbouring indices in `node`, in units of the target's `mesh`."""
     centre, noise = centroids(image, meshes * node, pixel)  # with windows of one mesh
     if target.diameter is None:
         return centre, noise, ("centroids not corrected for perspective: state the target's diameter",)
@@ -191,8 +190,8 @@ def dot_centres(
 def make_points(
     image: Image, node: Nodes, pixel: Array, notes: tuple[str, ...] = (), noise: Array | float = 0.0
 ) -> TargetPoints:
-    """Make target points from node indices and pixels, without outliers from a smooth map between them.
-    The uncertainty of each is `noise`, px, or the scatter of all points about the map if it is larger."""
+    """Make target points from node indices and pixels; leave out outliers from a smooth map between them.
+    The uncertainty of a point is `noise`, px, or the scatter of the points about the map if larger."""
     smooth = SmoothMap(node, pixel)
     free = max(len(node) - 4 - len(smooth.powers), 1)
     limited = np.minimum(smooth.misfit, OUTLIER_DEVIATIONS * smooth.spread)
@@ -237,9 +236,9 @@ def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> t
 
 
 def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:
-    """Return the largest grid of dots found from several start dots near the middle of the image.
-    `centre` (n, 2), px, and `area` (n,), px^2, describe bright shapes; `size` is the image's (width,
-    height), px. Returns None if the grid has too few dots."""
+    """Return the largest grid of dots, of those that grow from several dots near the middle of the image.
+    `centre` (n, 2), px, and `area` (n,), px^2, describe bright shapes; `size` is the (width, height) of the
+    image, px. Returns None if the grid has too few dots."""
     if len(centre) < LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)

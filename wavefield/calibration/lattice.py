@@ -1,8 +1,8 @@
 """Order marks in the image of a target as a grid of nodes, and fit a smooth map from indices to pixels.
 
-A node is a string crossing or a dot with indices (i, j). A lattice, the grid of nodes found so far, grows
-from a seed, one node with its two mesh vectors, by one ring of neighbours after another. A mesh vector is the
-step in the image, px, from a node to the next along i or j.
+A node is a string crossing or a dot with indices (i, j). A lattice is the grid of nodes found so far. It
+grows from a seed, one node with its two mesh vectors, by one layer of neighbours after another. A mesh vector
+is the step in the image, px, from a node to the next along i or j.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class Candidates:
 
     @property
     def strong(self) -> Mask:
-        """Mask (n,): true if the strength is over half the median strength of the 80 strongest."""
+        """Mask (n,): True for points with over half the strength of the 80 strongest (their median)."""
         return self.strength > 0.5 * _typical_strength(self.strength)
 
 
@@ -98,7 +98,7 @@ def cross(a: Array, b: Array) -> float:
 
 
 def independent_pair(arms: Array) -> tuple[Array, Array] | None:
-    """Return the first two of the vectors `arms` (n, 2) that are not nearly parallel; None if all are."""
+    """Return the first two of the vectors `arms` (n, 2) that are not nearly parallel, or None."""
     for k, a in enumerate(arms):
         for b in arms[k + 1 :]:
             if abs(cross(a, b)) > MIN_SINE * np.hypot(*a) * np.hypot(*b):
@@ -113,12 +113,12 @@ def most_central(points: Array, count: int) -> list[int]:
 
 
 def around(node: Nodes, steps: Nodes) -> Nodes:
-    """Return the different indices (k, 2) that are the sum of a `node` (n, 2) and one of `steps` (m, 2)."""
+    """Return the different sums (k, 2) of one of the indices `node` (n, 2) and one of `steps` (m, 2)."""
     return np.unique((node[:, None] + steps).reshape(-1, 2), axis=0)
 
 
 def _windows(table: Array, node: Nodes) -> Array:
-    """Return the entries of `table` for the 5 x 5 nodes around each of `node` (m, 2), as (m, 25, ...).
+    """Return the entries of `table` at the 5 x 5 nodes around each `node` (m, 2), as (m, 25, ...).
     The entry of the node with the indices (i, j) is ``table[i + REACH, j + REACH]``."""
     index = node[:, None] + WINDOW + REACH
     out: Array = table[index[..., 0], index[..., 1]]
@@ -126,9 +126,8 @@ def _windows(table: Array, node: Nodes) -> Array:
 
 
 class TargetLattice:
-    """The nodes of a target found in an image, with indices and pixels; `grow` adds more from one outwards.
-    The first node is at `start` (2,), px; e1 and e2 (2,), px, are the steps from it to the next along i and
-    j."""
+    """Nodes of a target found in an image, with indices and pixels; `grow` adds more from the first outwards.
+    The first node is at `start` (2,), px; e1 and e2 (2,), px, are the steps to the next along i and j."""
 
     def __init__(self, start: Array, e1: Array, e2: Array) -> None:
         self.place = np.full((2 * REACH + 1, 2 * REACH + 1, 2), np.nan)  # [i + REACH, j + REACH], px
@@ -137,7 +136,7 @@ class TargetLattice:
 
     @property
     def filled(self) -> Mask:
-        """Mask (2 REACH + 1, 2 REACH + 1): at [i + REACH, j + REACH], whether node (i, j) has been found."""
+        """Mask (2 REACH + 1, 2 REACH + 1), True at [i + REACH, j + REACH] if node (i, j) has been found."""
         out: Mask = np.isfinite(self.place[..., 0])
         return out
 
@@ -146,7 +145,7 @@ class TargetLattice:
 
     @property
     def node(self) -> Nodes:
-        """Indices (i, j) of the nodes found, (n, 2), relative to the first node."""
+        """Indices (i, j) of the nodes found, (n, 2), counted from the first node."""
         return np.argwhere(self.filled) - REACH
 
     @property
@@ -162,8 +161,8 @@ class TargetLattice:
         return empty[((empty >= 2) & (empty < 2 * REACH - 1)).all(1)] - REACH
 
     def predict(self, node: Nodes) -> tuple[Array, Array]:
-        """Predict the pixels (m, 2) of nodes (m, 2), and steps to the next nodes, from found nodes nearby.
-        The steps (m, 2, 2), px, are [:, 0] along the index i and [:, 1] along j."""
+        """Return the predicted pixels (m, 2) of nodes (m, 2), and the steps (m, 2, 2) to the next nodes, px.
+        The prediction is from found nodes nearby. Steps [:, 0] are along the index i, [:, 1] along j."""
         di, dj = WINDOW.astype(float).T
         basis = np.stack([np.ones(25), di, dj, di * dj, di * di, dj * dj], -1)
         window = _windows(self.place, node)  # (m, 25, 2)
@@ -178,7 +177,7 @@ class TargetLattice:
         return fit[:, 0], fit[:, 1:3]
 
     def grow(self, candidates: Candidates, size: tuple[int, ...]) -> None:
-        """Add candidates near the predicted pixels of neighbouring nodes, ring by ring, until none fits.
+        """Add candidates near the predicted pixels of neighbouring nodes, layer by layer, until none fits.
         `size` is the (width, height) of the image, px."""
         tree = cKDTree(candidates.pixel)
         used = np.zeros(len(candidates.pixel) + 1, bool)
@@ -249,8 +248,8 @@ class SmoothMap:
         self.spread = spread(self.misfit)  # px
 
     def inlier(self, std: Array | float = 0.0) -> Mask:
-        """Return a mask (n,): true for the fitted nodes that are not outliers from the map.
-        `std` is the standard uncertainty of the nodes' pixels, px."""
+        """Return a mask (n,), True for the fitted nodes that are not outliers from the map.
+        `std` is the standard uncertainty of the pixels of the nodes, px."""
         out: Mask = self.misfit < np.maximum(OUTLIER_DEVIATIONS * np.hypot(self.spread, std), MIN_OUTLIER_PX)
         return out
 
@@ -264,20 +263,20 @@ class SmoothMap:
         return np.stack([x**a * y**b for a, b in self.powers], -1)
 
     def __call__(self, node: ArrayLike) -> Array:
-        """Return the pixels (n, 2) of nodes (n, 2), whose indices may be fractions."""
+        """Return the pixels (n, 2) of nodes with the indices `node` (n, 2), which may be fractions."""
         q = self._homography(np.asarray(node, float))
         out: Array = q + self._basis(q) @ self.cubic
         return out
 
     def slopes(self, node: ArrayLike) -> Array:
-        """Return the steps in the image to the next node, px, at nodes (n, 2), as (n, 2, 2).
+        """Return the steps in the image, px, from nodes (n, 2) to the next nodes, as (n, 2, 2).
         The steps [:, 0] are along the index i, the steps [:, 1] along j."""
         node = np.asarray(node, float)
         return np.stack([self(node + half) - self(node - half) for half in 0.5 * np.eye(2)], 1)
 
 
 def mesh_length(node: Nodes, pixel: Array) -> float:
-    """Return the first percentile of the distances between neighbouring nodes, px; 4 if none are neighbours.
+    """Return the first percentile of the distances between neighbouring nodes, px; 4 without neighbours.
     `node` (n, 2) are indices, `pixel` (n, 2) positions in the image."""
     distance, near = cKDTree(node).query(node, k=5, distance_upper_bound=1.01)
     a, b = np.nonzero(np.isfinite(distance) & (distance > 0))
