@@ -48,7 +48,7 @@ def bicoherence_of(z: np.ndarray) -> np.ndarray:
 
 
 def correlations_of(z: np.ndarray) -> np.ndarray:
-    """Return the squared correlation (n, n) of Fourier coefficients `z` (n, samples) at two frequencies."""
+    """Return squared correlations (n, n) between n frequencies of Fourier coefficients (n, samples)."""
     gram = np.abs(z @ z.conj().T) ** 2
     power = np.maximum(gram.diagonal(), 1e-300)
     return np.asarray(gram / np.sqrt(power[:, None] * power))

@@ -75,7 +75,7 @@ def _by_block(runs: list[Array], block: int, sigma: float) -> tuple[Array, Array
 
 
 def _moments(sums: Array) -> Array:
-    """Return significant height, skewness and excess kurtosis (..., 3). `sums` (..., 5) are of z^0 to z^4."""
+    """Return significant height, skewness, excess kurtosis (..., 3) from sums of z^0 to z^4 (..., 5)."""
     mean, m2, m3, m4 = (sums[..., p] / sums[..., 0] for p in (1, 2, 3, 4))
     variance = m2 - mean**2
     third = m3 - 3 * mean * m2 + 2 * mean**3

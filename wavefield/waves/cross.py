@@ -58,8 +58,7 @@ def _estimates(
 def label(
     sums: Mapping[str, Array], names: Sequence[str], pairs: Sequence[tuple[str, str]], welch: Welch
 ) -> xr.Dataset:
-    """Return the Dataset of `cross_spectra` from `sums` over all segments, which `sums.add_segment`
-    computed."""
+    """Return the Dataset of `cross_spectra` from `sums` over segments (see `sums.add_segment`)."""
     coords: dict[str, Any] = {"quantity": list(names)} | omega_coords(welch.omega) | k_coords(welch.table.k)
     if pairs:
         coords["pair"] = ["*".join(pair) for pair in pairs]
@@ -70,8 +69,7 @@ def label(
 
 
 def checked_fields(cube: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return the variables of a cube from which `names` are computed, in SI units. CubeError if one is
-    missing."""
+    """Return the variables of a cube that `names` need, in m and m/s; CubeError if one is missing."""
     fields = sources(names)
     for field in fields:
         if field not in cube:
@@ -89,8 +87,8 @@ def cross_spectra(
     record: Record | None = None,
 ) -> xr.Dataset:
     """Return power spectra E (quantity, omega, k) of `names` and cross spectra S (pair, omega, k) of `pairs`.
-    Names are z, z_t, u, v, w, nl = (u - U) . grad z and rise = z_t + U . grad z, with the mean velocity U.
-    The pair "a*b" has S = <conj(a) b>. ``dof`` belongs to E, ``samples`` (independent samples) to S."""
+    Names are z, z_t, u, v, w, nl = (u - U) . grad z and rise = z_t + U . grad z, with the mean velocity U. S
+    of "a*b" is <conj(a) b>. ``dof``: degrees of freedom of E; ``samples``: independent samples of S."""
     cube = checked_fields(cube, names)
     welch = Welch.of(cube, segment, record)
     # the current decides how long waves stay in the window, and so the degrees of freedom
@@ -243,7 +241,7 @@ register(WaveProduct("coherence", ("ring",), coherence_group, group="coherence",
 
 @takes(a_cube)
 def plane_coherence(cube: xr.Dataset) -> xr.Dataset:
-    """Coherence of z_t with w, -u . grad z and w - u . grad z at each wave vector; mean over directions.
+    """Coherence of z_t with w, -u . grad z and w - u . grad z at each wave vector, and averaged over rings.
 
     Parameters
     ----------

@@ -201,16 +201,16 @@ def directions(
     Raises
     ------
     CubeError
-        If the input is none of these, no frequency is resolved or one exceeds the Nyquist frequency, or the
-        current is not given and `fit_dispersion` fails.
+        If the input is of another kind, if no frequency is resolved, if a frequency exceeds the Nyquist
+        frequency, or if the current is not given and `fit_dispersion` fails.
 
     Notes
     -----
     The spectrum is first shifted to the frame of the water, E(k, omega + k . U). Cells (ky, kx) near the
     dispersion relation are divided between sectors by area, and the energy of a sector by the fraction of it
-    that the k plane samples. The spread is sqrt(2 (1 - r1)) less the
-    resolution in quadrature: a Hann window of length L blurs k by (2 pi / L) / sqrt(3); cells and sectors
-    blur it by their width over sqrt(12). D, the harmonics and ``efth`` are not corrected for this blur.
+    that the k plane samples. The spread is sqrt(2 (1 - r1)) less the resolution in quadrature: a Hann window
+    of length L blurs k by (2 pi / L) / sqrt(3); cells and sectors blur it by their width over sqrt(12). D,
+    the harmonics and ``efth`` are not corrected for this blur.
 
     Examples
     --------

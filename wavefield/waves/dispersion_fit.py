@@ -40,8 +40,8 @@ BAND_WIDTH = 0.5  # Hz, chosen: width of the bands in which the points are compa
 
 
 def _misfit(points: RelationPoints, water: Water, around: Array) -> Callable[[Array], Array]:
-    """Return a function that maps a current (2,), m/s, to misfits: (model - measured omega) / standard
-    uncertainty. The uncertainty is that of k times d omega / dk, on the current `around`."""
+    """Return a function that maps a current (2,), m/s, to misfits: (model - measured omega) / uncertainty.
+    The uncertainty is that of k, converted to omega by the slope of the relation on the current `around`."""
     kx, ky = points.k * np.cos(points.angle), points.k * np.sin(points.angle)
     free, speed = dispersion(points.k, *water), group_velocity(points.k, *water)
     slope = speed + (around[0] * kx + around[1] * ky) / points.k
@@ -127,7 +127,7 @@ def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float
     Raises
     ------
     CubeError
-        If the input is none of these, there are fewer than six points, points or energy are not near the
+        If the input is of another kind, there are fewer than six points, points or energy are not near the
         dispersion relation of any current, or the current is uncertain by more than 12 mm/s.
 
     Notes
@@ -192,7 +192,7 @@ def _between(limits: tuple[float, float]) -> str:
 
 
 def _refuse_few(points: RelationPoints, limits: tuple[float, float]) -> RelationPoints:
-    """Return `points` unchanged. CubeError with the band `limits`, rad/s, if they are fewer than six."""
+    """Return `points` unchanged; CubeError if fewer than six. `limits` is the frequency band, rad/s."""
     if len(points) < MIN_POINTS:
         raise CubeError(f"no dispersion relation was found {_between(limits)}: choose a longer segment")
     return points

@@ -56,13 +56,13 @@ class PlaneSpectrum:
         return cls(omega, energy, noise, kx, ky, k, angle, (axes[0], axes[1]), sides, cell, water)
 
     def on_lines(self, chosen: Array) -> "PlaneSpectrum":
-        """Return the spectrum at the frequencies where the mask `chosen` (lines,) is true."""
+        """Return the spectrum at the frequencies where the mask `chosen` (frequencies,) is true."""
         return replace(self, omega=self.omega[chosen], energy=self.energy[chosen], noise=self.noise[chosen])
 
 
 def noise_level(energy: Array, outer: Array, distance: Array) -> Array:
-    """Return the noise of a spectrum `energy` (lines, cells), estimated as f(omega) times g(|k|).
-    `outer` (cells,) marks wave vectors too large for waves; `distance` (cells,) is |k| in cell widths."""
+    """Return the noise of a spectrum `energy` (frequencies, wave vectors), estimated as f(omega) times
+    g(|k|). `outer` (wave vectors,) is true where |k| is too large for waves; `distance` is |k| in cells."""
     if not outer.any():
         return np.zeros(energy.shape, np.float32)
     along_omega = np.median(energy[:, outer], axis=1)
@@ -128,7 +128,7 @@ def scan_current(spectrum: PlaneSpectrum) -> Array:
 
 
 def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
-    """Return a mask (lines, cells): true near the dispersion relation of waves on `current`.
+    """Return a mask (frequencies, wave vectors): true near the dispersion relation of waves on `current`.
     Near means within two cell widths in k plus two frequency steps, converted to a distance in omega."""
     omega, k, cell = spectrum.omega, spectrum.k, spectrum.cell
     free = dispersion(k, *spectrum.water) + current[0] * spectrum.kx + current[1] * spectrum.ky
@@ -139,8 +139,8 @@ def _near_relation(spectrum: PlaneSpectrum, current: Array) -> Array:
 
 
 def contrast(spectrum: PlaneSpectrum, lines: Array, current: Array) -> float:
-    """Return the mean energy near the dispersion relation, divided by that of the same wave vectors away from
-    it. White noise gives about 1. `lines` is a mask of the frequencies used."""
+    """Return the mean energy near the dispersion relation, over that of the same wave vectors at other
+    frequencies. White noise gives about 1. `lines` is a mask of the frequencies used."""
     near = _near_relation(spectrum, current)[lines]
     near[:, spectrum.k < MIN_CELLS_FROM_ZERO * spectrum.cell] = False
     energy = spectrum.energy[lines]
@@ -166,8 +166,8 @@ FLOOR = 1e-9  # chosen: cells with less energy, relative to the strongest, have 
 
 
 def windowed_waves(spectrum: PlaneSpectrum, current: Array) -> Array:
-    """Return the spectrum (lines, cells) of simulated free waves, broadened by Hann windows. Each cell has
-    four waves; deconvolution fits their energies to the measured energy above the noise."""
+    """Return the spectrum (frequencies, wave vectors) of simulated free waves, broadened by Hann windows.
+    Deconvolution fits the energies of four waves per wave vector to the measured energy above the noise."""
     near, ky, kx = _near_relation(spectrum, current), *spectrum.axes
     shape = spectrum.omega.size, ky.size, kx.size
 
@@ -246,7 +246,7 @@ class RelationPoints:
 
 
 def sectors_of(spectrum: PlaneSpectrum, count: int) -> Sectors:
-    """Return a list of `count` sectors of direction: its direction (rad) and its cells, sorted by |k|."""
+    """Return `count` sectors of direction as (direction in rad, indices of wave vectors sorted by |k|)."""
     by_k = np.argsort(spectrum.k, kind="stable")
     half_width = np.pi / count
     middles = np.arange(count) * 2 * half_width
@@ -255,8 +255,9 @@ def sectors_of(spectrum: PlaneSpectrum, count: int) -> Sectors:
 
 
 def centroids(spectrum: PlaneSpectrum, sectors: Sectors, current: Array) -> RelationPoints:
-    """Return the centroid in k of the energy above the noise, for each frequency and sector of direction.
-    Those with under five cells, or less signal than noise near the relation on `current`, are left out."""
+    """Return centroids in k of the energy above the noise near the dispersion relation on `current`, one for
+    each frequency and sector. Those of under five wave vectors, or with more noise than signal, are
+    omitted."""
     omega, water = spectrum.omega, spectrum.water
     k_table = np.linspace(0.1, 1.2 * spectrum.k.max(), 4000)
     free = dispersion(k_table, *water)

@@ -62,9 +62,8 @@ ROUNDS = 4  # of deconvolution; tuned on random seas: with one, intervals of E(o
 
 
 def expected_segment_correlation(power: Array, count: int) -> Array:
-    """Return the factor (n, lines) by which correlation of `count` half-overlapping segments raises the
-    variance of their mean. Peaks of the spectrum `power` (n, lines) below the frequency step in width raise
-    it."""
+    """Return the factor (n, frequencies) by which correlation of `count` half-overlapping segments raises the
+    variance of their mean. Narrow peaks of the spectra `power` (n, frequencies) raise it."""
     lines = np.arange(power.shape[1])
     between = 2  # frequencies of the sharpened spectrum per line, so that a peak may lie between lines
     fine = np.arange(between * (lines.size - 1) + 1) / between
@@ -182,7 +181,7 @@ def independent_nodes(lines: Array, number: Array) -> Array:
 
 def of_products(dof: Mapping[str, Array], power: Array, dof_omega: Array) -> dict[str, Array]:
     """Return degrees of freedom of spectra of nl = u . grad z, with the keys of `dof`, a first estimate that
-    is too high. The spectrum `power` (lines,) of the waves has `dof_omega` (lines,) degrees of freedom."""
+    is too high. The spectrum `power` of the waves has `dof_omega` degrees of freedom, both (frequencies,)."""
     total = sum_freedom(power[:, None], dof_omega[:, None], hann_correlation(power.size))
     return {axes: (1 / (1 / own + 4 / total)).clip(1, None) for axes, own in dof.items()}
 
@@ -252,7 +251,7 @@ def independent_samples(
 
 def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
     """Return the degrees of freedom of sums of `power` over k, key "omega", and of sums over omega, key "k".
-    `power` and its degrees of freedom `dof` are (rings, lines)."""
+    `power` and its degrees of freedom `dof` are (rings of |k|, frequencies)."""
     overlap, own = welch.table.overlap, np.sqrt(np.diag(welch.table.overlap).clip(1e-300))
     return {
         "omega": sum_freedom(power, dof, np.sqrt(overlap * np.outer(own, own))),
@@ -261,8 +260,8 @@ def freedom_of_sums(power: Array, dof: Array, welch: Welch) -> dict[str, Array]:
 
 
 def correlation_of(power: Array, welch: Welch) -> tuple[Array, Array]:
-    """Return two factors (rings, lines) by which correlated segments raise the variance of `power`.
-    The first is for a single value E(k, omega), the second for its contribution to a sum over k or omega."""
+    """Return two factors (rings, frequencies) by which correlated segments raise the variance of `power`. The
+    first is for a single value E(k, omega), the second for its contribution to a sum over k or omega."""
     white = overlap_factor(welch.count)
     line = expected_segment_correlation(power, welch.count)
     crossing = white + (crossing_correlation(welch)[:, None] - white).clip(0) * wave_share(power) ** 2

@@ -275,8 +275,7 @@ def _freedom(
     ring: xr.Dataset, energies: Sequence[Array], remaining: Array, gain_variances: Array, tiny: float
 ) -> Array:
     """Return the degrees of freedom of E(omega), (methods, omega), lowered for subtracted noise and gain
-    errors. `energies` are E(omega) by method, `remaining` is noise; `gain_variances` are relative
-    variances."""
+    errors. `energies` are E(omega) by method and `remaining` noise; `gain_variances` are relative."""
     z, w = (ring["dof_omega"].sel(quantity=name).clip(min=1).values for name in NAMES)
     dof = np.stack([z, w, np.sqrt(z * w), np.sqrt(z * w)])
     zz, ww, zw, best = energies

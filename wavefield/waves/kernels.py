@@ -25,7 +25,7 @@ _TILE = 8  # steps transposed at once: a cache line of 64 bytes
 @_loose
 def join(first: Array, second: Array, window: Array, out: Array) -> None:
     """Write a segment, detrended and multiplied by ``window`` (n,), to ``out`` (cells, 2 n). ``first`` and
-    ``second`` are its halves (n / 2, 2 cells). In all, real and imaginary parts alternate."""
+    ``second`` are its halves (n / 2, 2 cells). In these arrays, real and imaginary parts alternate."""
     half, columns = first.shape
     n = 2 * half
     middle = (n - 1) / 2
@@ -250,7 +250,7 @@ def node_powers(values: Array, mean: float, low: float, per_unit: float, sums: A
 @_loose
 def spread_waves(first: Array, weights: Array, power: Array, out: Array) -> None:
     """Add the power of each wave, spread over neighbouring cells, to the spectrum ``out`` (lines, ny, nx). On
-    each axis, a wave begins at cell ``first`` (3, waves), with fractions ``weights`` (3, waves, cells)."""
+    each axis, ``first`` (3, waves) is its first cell; ``weights`` (3, waves, cells) are its fractions."""
     lines, ny, nx = out.shape
     near = weights.shape[2]
     columns = np.empty(near, np.int64)

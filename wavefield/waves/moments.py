@@ -228,8 +228,8 @@ def statistics(cube: xr.Dataset) -> xr.Dataset:
 
 
 def spectral_peak(statistics: xr.Dataset, fused: xr.Dataset, depth: float, gamma: float) -> xr.Dataset:
-    """Return `statistics` with peak frequency (Hz), peak wavenumber (rad/m), steepness and their ``_std``.
-    The peak is that of the elevation spectrum from z in `fused`, a result of `elevation.fused_group`."""
+    """Return `statistics` with peak frequency (Hz), peak wavenumber k (rad/m), steepness (k times the
+    standard deviation of z) and their ``_std``. The peak is that of E(omega) of z, from `fused_group`."""
     stereo = fused.sel(source="stereo")  # integrated w has no lowest lines, in which the peak may be
     lines = inner(fused.sizes["omega"])
     peak, std = peak_and_std(stereo["Ez"].values, lines, stereo["dof_Ez"].values, fused["omega"].values)

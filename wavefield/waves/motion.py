@@ -135,7 +135,7 @@ def kinematics_at(snapshot: xr.Dataset) -> xr.Dataset:
 def balance(
     fields: Mapping[str, Array], i: int, dy: float, dx: float, current: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, float]:
-    """Return rms values at step `i`, by name, over all nodes, of w, z_t and the terms of `kinematics`."""
+    """Return rms values over nodes at step `i`: w, z_t, nonlinear term, residual, vorticity, divergence."""
     step = {name: fields[name][i].astype(float) for name in FIELDS}
     parts = terms(step, dy, dx, current)
     values = {
@@ -177,8 +177,7 @@ def mean_current_group(mean_and_std: tuple[NDArray[np.float64], NDArray[np.float
 
 
 def ratio_group(spectra: xr.Dataset) -> xr.Dataset:
-    """Return sqrt(E_nl / E_w) of the nonlinear term and w: one curve over k, one over omega, with 95 %
-    intervals."""
+    """Return sqrt(E_nl / E_w), for nl and w, as one curve over k and one over omega, with 95 % intervals."""
     out: dict[str, Any] = {}
     w, nl = (spectra.sel(quantity=name, drop=True) for name in ("w", "nl"))
     for axis in ("k", "omega"):

@@ -99,8 +99,8 @@ def _even(clock: Array, values: Array, dt: float) -> tuple[Array, Array] | None:
 
 
 def _fit(name: str, time: Array, here: Array, clock: Array, values: Array, dt: float) -> ProbeFit | None:
-    """Return the comparison of a probe, `values` at times `clock`, with elevations `here` of the cube at
-    `time`. None if the probe covers less than half of the record at every lag."""
+    """Return the `ProbeFit` of a probe, `values` at times `clock`, s, against `here`, z of the cube at
+    `time`, s. None if the probe covers less than half of the record at every lag."""
     lags, found = correlation(here, values, int(MIN_OVERLAP * time.size))
     if not lags.size:
         return None

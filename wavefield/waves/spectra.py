@@ -210,7 +210,7 @@ def ring_spectrum(
 
 
 def _attrs_of_sum(given: xr.DataArray | xr.Dataset, axis: str) -> dict[str, Any]:
-    """Return name and units for E(omega) or E(k), the sum of a result of `komega` along `axis`."""
+    """Return name and units of E(omega) or E(k); `axis`, "omega" or "k", is the axis that remains."""
     if "field" not in given.attrs:  # several quantities of an analysis
         return TABLE[f"spectra/E_{axis}"].attrs
     return TABLE[f"{axis}/E"].of(given.attrs["field"], density_units(given.attrs["field_units"], axis))

@@ -34,7 +34,7 @@ ADVECTED = ("z", "z_t", "u", "v")  # fields of the cube from which rise and nl a
 
 @dataclass(frozen=True)
 class Requested:
-    """Quantities whose powers, and pairs of quantities whose cross products, are summed over segments."""
+    """Quantities whose powers are summed over segments, and pairs whose cross products are summed."""
 
     names: Sequence[str]
     pairs: Sequence[tuple[str, str]] = ()

@@ -79,8 +79,8 @@ def richardson_lucy(
     rounds: int,
 ) -> np.ndarray:
     """Return a non-negative spectrum that, blurred by a window, is close to `measured` (Richardson 1972).
-    ``through_window(estimate)`` blurs a spectrum. ``corrected(estimate, ratio)`` multiplies it by the blurred
-    ratio of `measured` to the blurred estimate. `estimate` is the first guess."""
+    ``through_window(estimate)`` blurs a spectrum. ``corrected(estimate, ratio)`` multiplies ``estimate`` by
+    the blurred ``ratio`` of `measured` to the blurred estimate. `estimate` is the first guess."""
     for _ in range(rounds):
         estimate = corrected(estimate, measured / through_window(estimate))
     return estimate
@@ -185,8 +185,8 @@ def sum_chain(
     links: Sequence[Link],
 ) -> Sums:
     """Return the sums over consecutive segments, by name, reading and transforming each half segment once.
-    ``transform(blocks, link, memory)`` may overwrite arrays in ``memory``; ``accumulate(sums, first, second,
-    begin)`` adds the segment with these two transformed halves and first step ``begin`` to ``sums``."""
+    ``transform(blocks, link, memory)`` may overwrite arrays in ``memory``. ``accumulate(sums, first, second,
+    begin)`` adds to ``sums`` the segment with halves ``first``, ``second`` and first step ``begin``."""
     sums: Sums = {}
     previous: Sums = {}
     oldest: Sums = {}
@@ -218,7 +218,7 @@ def sum_segments(
 
 
 def add_sums(a: Sums, b: Sums) -> Sums:
-    """Return the sum of two dictionaries of arrays, by name; a name in only one of them is kept as it is."""
+    """Return the sum of two dictionaries of arrays, name by name; arrays in only one of them are kept."""
     return {**a, **b} | {name: a[name] + b[name] for name in a if name in b}
 
 
@@ -255,7 +255,7 @@ def transform_space(block: Any, out: np.ndarray | None = None) -> np.ndarray:
 
 
 def slabs(cells: int) -> Iterator[slice]:
-    """Yield slices that divide `cells` cells into parts of at most 128, whose time series fit the cache."""
+    """Yield slices that divide `cells` wave vectors into parts of at most 128, which fit the cache."""
     for a in range(0, cells, CELLS):
         yield slice(a, min(a + CELLS, cells))
 
@@ -358,7 +358,7 @@ class Welch:
 
     @property
     def density(self) -> float:
-        """Factor from |F|^2 of transforms F, summed over segments, to E(omega, ky, kx), rad/m and rad/s."""
+        """Factor from |F|^2, summed over segments, to the density E(omega, ky, kx); F are transforms."""
         record = self.record
         energy = float(np.prod([(hann(n) ** 2).sum() for n in (self.segment, *record.shape)]))
         return record.dt * record.dy * record.dx / ((2 * np.pi) ** 3 * energy * self.count)
@@ -372,7 +372,8 @@ class Welch:
 
     @property
     def ring_density(self) -> float:
-        """Factor from |F|^2 of transforms F, summed over segments and cells of a ring, to E(k, omega)."""
+        """Factor from |F|^2, summed over segments and a ring, to the density E(k, omega); F are
+        transforms."""
         ny, nx = self.record.shape
         cell = (2 * np.pi) ** 2 / (ny * self.record.dy * nx * self.record.dx)
         return self.density * cell / self.table.dk
@@ -386,7 +387,7 @@ class Welch:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Mask (omega, k), false where the removed mean affects E and at or beyond Nyquist limits."""
+        """Mask (omega, k): false where E is affected by the removed mean, and at or beyond Nyquist limits."""
         nyquist = np.pi / max(self.record.dy, self.record.dx)
         table = self.table
         in_k = (table.k > MAIN_LOBE * table.dk) & (table.k + table.dk / 2 <= nyquist * (1 + 1e-9))
@@ -400,7 +401,7 @@ class Welch:
         return energy > MIN_OVER_FILLED * white
 
     def freedom(self, sums: Array) -> Array:
-        """Return the degrees of freedom (rings, lines) of E(k, omega), from `sums` of `kernels.ring_powers`.
+        """Return the degrees of freedom (rings, frequencies) of E(k, omega), from `sums` of `ring_powers`.
         They follow from the scatter of energy in a ring and the correlation of cells by Hann windows."""
         power, square = sums[0], sums[1]
         filled = power > 0
@@ -415,7 +416,7 @@ class Welch:
 
     @property
     def ring_variables(self) -> Mapping[str, tuple[str, Array]]:
-        """Over k: ``coverage``, the fraction of a ring inside the k plane; ``cells``, its independent
+        """Over k: ``coverage``, the fraction of a ring inside the k plane, and ``cells``, independent
         cells."""
         return {"coverage": ("k", self.table.coverage), "cells": ("k", self.table.cells)}
 
