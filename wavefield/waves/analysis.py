@@ -48,7 +48,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass
 class Sums:
-    """Sums over all or some of the Welch segments of a cube, from which wave products are computed."""
+    """Sums over some or all Welch segments of a cube, from which wave products (results) are computed."""
 
     ring_sums: dict[str, Array] = field(default_factory=dict)  # powers and cross products
     survey_sums: dict[str, Array] = field(default_factory=dict)  # sums of powers and histograms

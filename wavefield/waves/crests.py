@@ -22,8 +22,8 @@ LEVELS = np.arange(0.0, 5.01, 0.25)  # in standard deviations; one wave in 270,0
 
 
 def extremes(series: Array) -> tuple[Array, Array, Array]:
-    """Return first step, crest height and trough depth (> 0) of each wave, three arrays (waves,).
-    A wave lies between two zero up-crossings of `series` (time,). Parabolas refine crests and troughs."""
+    """Return three arrays (waves,): first step, crest height and trough depth (> 0) of each wave. A wave lies
+    between two zero up-crossings of `series` (time,). Parabolas refine crests and troughs."""
     start = np.flatnonzero((series[:-1] < 0) & (series[1:] >= 0))
     if start.size < 2:
         return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)

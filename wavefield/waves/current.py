@@ -18,7 +18,7 @@ SAMPLED_STEPS = 256  # evenly spaced steps that give the means of a record; chos
 
 
 def delayed_current(cube: xr.Dataset, record: Record) -> Any:
-    """Return the mean of u and v and its standard uncertainty, each (2,), m/s, as a Dask delayed object.
+    """Return the mean of (u, v) and its standard uncertainty, two arrays (2,), m/s, as a Dask delayed object.
     The mean is over up to 256 steps, and over nodes with the weights of a Hann window to suppress waves."""
     area = slice(*record.y), slice(*record.x)
     task = dask.delayed(_means_of_steps, pure=False)

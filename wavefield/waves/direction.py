@@ -129,7 +129,7 @@ def in_still_water(density: xr.DataArray, lines: Array, current: tuple[float, fl
 
 
 class _RingSectors:
-    """Area fractions of the cells (ky, kx) in `count` sectors of direction, within a ring of |k|."""
+    """For a ring of |k|, computes the area fractions of cells (ky, kx) in `count` sectors of direction."""
 
     def __init__(self, ky: Array, kx: Array, count: int) -> None:
         n = rings.SUPERSAMPLING

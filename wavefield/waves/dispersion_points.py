@@ -308,7 +308,7 @@ def centroids(spectrum: PlaneSpectrum, sectors: Sectors, current: Array) -> Rela
 
 def _relation_in_k(omega: Array, k: Array, free: Array, speed: Array, along: float) -> Array:
     """Return the k, rad/m, that solves omega = free(k) + k along at each `omega`; NaN if waves are blocked.
-    `free` and `speed` are still-water frequency and group velocity at `k`; `along` is the current."""
+    `free` and `speed` are still-water frequency and group velocity at `k`; `along` is the current, m/s."""
     doppler = free + k * along
     blocked = speed + along < MIN_SPEED_ON_CURRENT * speed
     last = int(blocked.argmax()) if blocked.any() else k.size

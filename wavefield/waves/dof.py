@@ -125,7 +125,7 @@ def correlation_at(velocity: Sequence[Array], duration: float, lengths: Sequence
 
 @lru_cache(maxsize=8)
 def crossing_correlation(welch: Welch) -> Array:
-    """Return `correlation_at` for the free waves in each ring of |k|, averaged over direction, (rings,)."""
+    """Return `correlation_at` for free waves with |k| in each ring, averaged over direction, (rings,)."""
     record, table = welch.record, welch.table
     lengths = record.shape[1] * record.dx, record.shape[0] * record.dy
     group = group_velocity(table.k, welch.depth)[:, None]

@@ -60,7 +60,7 @@ LEARNED_WITHIN = 1.5  # chosen: a predicted signal-to-noise ratio is uncertain b
 
 
 def _white(noise: Array, use: Array) -> Array:
-    """Return white noise (k,): the median over omega of `noise` (omega, k) where `use` is true."""
+    """Return a white noise level (k,): the median over omega of `noise` (omega, k) where `use` is true."""
     noise = np.where(use, noise, np.nan)
     usable = np.isfinite(noise).any(axis=0)  # short records: some rings have no line away from free waves
     out: Array = np.zeros(noise.shape[1])
@@ -183,8 +183,8 @@ def _elevations(
 
 @dataclass(frozen=True)
 class _Noise:
-    """Noise (omega, k) of z and of the elevation integrated from w, with fits that assume white noise in
-    time. In the fits, the noise spectra of z and of w dt depend on k only."""
+    """Noise (omega, k) of z and of the elevation integrated from w. There are also fits, in which the noise
+    of z and of w dt is white in time, so that its spectrum depends on k only."""
 
     z: Array
     w: Array

@@ -28,8 +28,8 @@ def lags(longest: int) -> Array:
 
 
 def powers_of_differences(values: Array, axis: int, lag: int, differences: int) -> Array:
-    """Return the number of increments along an axis, and sums of |increment|^p for p = 1 to 6, as one array
-    (7,). `differences` is 1 or 2, for first or second differences; `lag` is in nodes or steps."""
+    """Return an array (7,): the number of increments along an axis, and sums of |increment|^p for p = 1 to 6.
+    `differences` is 1 or 2, for first or second differences; `lag` is in nodes or steps."""
     size = values.shape[axis] - differences * lag
     if size <= 0:
         return np.zeros(ORDERS.size + 1)

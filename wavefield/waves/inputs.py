@@ -27,8 +27,8 @@ Convert = Callable[[Any, str], tuple[Any, dict[str, Any]]]
 
 def takes(convert: Convert) -> Callable[[Estimator], Estimator]:
     """Return a decorator that checks or converts the first argument of an estimator with `convert`.
-    ``convert(argument, name)`` also returns parameters stored with the argument, such as the depth, as a
-    dictionary. They are used unless the caller gives them. `name` is the name of the estimator."""
+    ``convert(argument, name)`` gets the name of the estimator. It also returns a dictionary of parameters
+    stored with the argument, such as the depth, which are used unless the caller gives them."""
 
     def decorate(estimator: Estimator) -> Estimator:
         signature = inspect.signature(estimator)

@@ -96,9 +96,9 @@ def phase_weights(angle: Array, phases: int) -> Array:
 
 
 def _sums(read: Reader, names: list[str], weights: Array, design: Array) -> dict[str, Array]:
-    """Return three sums over steps for each field, whose last axes are the nodes (y, x): "mean <field>",
-    weighted by `weights` (steps, phases); "fit <field>", weighted by `design` (steps, n); "square <field>",
-    the unweighted sum of squares."""
+    """Return three sums over steps for each field, with nodes (y, x) as last axes. "mean <field>" has the
+    weights `weights` (steps, phases), and "fit <field>" the weights `design` (steps, n). "square <field>" is
+    the sum of squares, without weights."""
     sums: dict[str, Array] = {}
     first = 0
     for run in read.record.runs:

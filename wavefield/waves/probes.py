@@ -64,7 +64,7 @@ class ProbeFit:
 
 
 def fit_probes(z: xr.DataArray, probes: xr.Dataset) -> list[ProbeFit]:
-    """Compare every probe inside the field with the elevation z (time, y, x) of the cube at its position.
+    """Return a `ProbeFit` of every probe inside the field, compared with z (time, y, x) of the cube there.
     The best lag has the largest |correlation|. Probes with few samples or little overlap are left out."""
     time = z["time"].values.astype(float)
     if time.size < MIN_SAMPLES:
@@ -199,8 +199,8 @@ def _shared_time(time: Array, span: tuple[float, float], duration: float) -> tup
 
 
 def _density(values: Array, rate: float, duration: float) -> tuple[Array, Array, int]:
-    """Return frequencies, rad/s, spectral density (probe, omega) and number of segments, by Welch's method.
-    `values` (probe, time) are sampled at `rate`, Hz; segments last `duration`, s."""
+    """Return three results of Welch's method: frequencies, rad/s; densities (probe, omega); number of
+    segments. `values` (probe, time) are sampled at `rate`, Hz; segments last `duration`, s."""
     from scipy.signal import welch  # takes a second to import
 
     n = min(round(duration * rate), values.shape[1])

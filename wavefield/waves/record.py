@@ -208,8 +208,8 @@ class _Stored:
 
 
 def piece(array: xr.DataArray, steps: slice, rows: slice = slice(None), columns: slice = slice(None)) -> Any:
-    """Return part of a field (steps, rows, columns): a dask array if the field has dask chunks.
-    Otherwise it is an object that is read when converted to a numpy array."""
+    """Return part of a field (steps, rows, columns): a dask array if the field has dask chunks. Otherwise
+    return an object that is read when it is converted to a numpy array."""
     if array.chunks is None:
         return _Stored(array.variable, (steps, rows, columns))
     return array.transpose(*CUBE_DIMS).isel(time=steps, y=rows, x=columns).data
@@ -241,7 +241,7 @@ def outside_holes(finite: np.ndarray) -> np.ndarray:
 
 
 def _finite(pieces: list[object]) -> np.ndarray | None:
-    """Return bit-packed masks (2, steps, bytes) of nodes measured in all fields and of nodes outside holes.
+    """Return two bit-packed masks, (2, steps, bytes): nodes measured in all fields, and nodes outside holes.
     `pieces` holds a block (steps, ny, nx) of each field. The result is None if no value is missing."""
     mask = None
     for part in pieces:  # one field at a time saves memory
@@ -272,8 +272,8 @@ def _finite_steps(arrays: Sequence[xr.DataArray], steps: tuple[int, int]) -> np.
 
 
 def find_record(cube: xr.DataArray | xr.Dataset, each: Each | None = None) -> Record:
-    """Return the largest rectangle of measured nodes of a cube, and its runs of measured steps.
-    Missing nodes, and one or two missing steps, are to be interpolated; longer gaps end a run. `each(work,
+    """Return the `Record` of a cube: its largest rectangle of measured nodes, and its runs of measured steps.
+    Missing nodes, and gaps of one or two steps, are interpolated later; longer gaps end a run. `each(work,
     items)` applies work to items on workers. CubeError if no rectangle of 8 x 8 nodes is measured."""
     dt, dy, dx = check_axes(cube)
     arrays = [cube] if isinstance(cube, xr.DataArray) else [cube[name] for name in FIELDS if name in cube]

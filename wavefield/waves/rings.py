@@ -63,8 +63,8 @@ def _hann_overlap(n: int) -> sparse.csr_array:
 
 @lru_cache(maxsize=8)
 def rings(ny: int, nx: int, dy: float, dx: float) -> Rings:
-    """Return the rings of |k| for ny x nx nodes with spacings dy and dx, m; a ring is as wide as a cell.
-    Cells are divided between rings by area, in 8 x 8 parts."""
+    """Return the rings of |k| for ny x nx nodes with spacings dy and dx, m. A ring is as wide as a cell of
+    the k plane. Cells are divided between rings by area, in 8 x 8 parts."""
     cell_y, cell_x = 2 * np.pi / (ny * dy), 2 * np.pi / (nx * dx)
     dk = max(cell_y, cell_x)
     part = (np.arange(SUPERSAMPLING) + 0.5) / SUPERSAMPLING - 0.5

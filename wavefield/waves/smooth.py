@@ -103,8 +103,8 @@ class PlaneWaves:
         return np.concatenate([out.real, -out.imag])
 
     def products(self, mask: Mask) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Return sums over the nodes of `mask` of conj(E_k) E_l and of E_k E_l, each (n, n).
-        E_k is the plane wave exp(i k . x) of an unknown, or 1 for a constant."""
+        """Return two matrices (n, n): sums over the nodes of `mask` of conj(E_k) E_l, and of E_k E_l. E_k is
+        the plane wave exp(i k . x) of an unknown, or 1 for a constant."""
         real, imaginary = np.split(self.basis[mask.ravel()], 2, axis=1)
         waves = real + 1j * imaginary
         at = np.ix_(self.vector, self.vector)
@@ -265,8 +265,9 @@ class _Smoother:
         self._fits: dict[int, tuple[Posterior, Array]] = {}
 
     def parts(self, window: Array) -> tuple[Array, Array, Array]:
-        """Return z, u, v, rate of rise, and their variances, both (4, times, ny, nx), and a mask of measured
-        nodes. `window` (9, times, ny, nx) holds z, u, v, w, their standard uncertainties, and quality."""
+        """Return z, u, v, rate of rise, (4, times, ny, nx); variances of these, same shape; a mask of
+        measured nodes. `window` (9, times, ny, nx) holds z, u, v, w, their standard uncertainties, and
+        quality."""
         z, u, v, w = window[:4].astype(float)
         z_y, z_x = slopes(z, self.step, self.step)
         fields = np.stack([z, u, v, w - u * z_x - v * z_y])
@@ -297,8 +298,8 @@ class _Smoother:
         self.learned = learn(self.waves, mask, samples, variance)
 
     def fit_of(self, number: int) -> tuple[Posterior, Array]:
-        """Return the posterior of rectangle `number`, and a covariance (ny, nx, 6, 6) at the middle time.
-        The covariance is between z, u, v, rate of rise, z_x and z_y at each node. Results are cached."""
+        """Return the posterior of rectangle `number`, and a covariance matrix for each node, (ny, nx, 6, 6).
+        The matrix is for z, u, v, rate of rise, z_x, z_y at the middle time. Results are cached."""
         if number not in self._fits:
             waves, mask = self.waves, self.mask[self.tiles[number]]
             normal = waves.normal(waves.products(mask), self.learned.noise)

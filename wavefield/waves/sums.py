@@ -49,7 +49,7 @@ def sources(names: Sequence[str]) -> list[str]:
 
 
 def advected(fields: Mapping[str, Array], welch: Welch) -> dict[str, Array]:
-    """Return nl = (u - U) . grad z and rise = z_t + U . grad z, (steps, ny, nx), for the current U."""
+    """Return nl = (u - U) . grad z and rise = z_t + U . grad z by name, (steps, ny, nx); U is the current."""
     z, z_t, u, v = (fields[name] for name in ADVECTED)
     z_y, z_x = np.empty_like(z), np.empty_like(z)
     kernels.gradient(z, welch.record.dy, welch.record.dx, z_y, z_x)
@@ -152,7 +152,7 @@ def _powers_of_nodes(first: Array, second: Array) -> Array:
 
 
 def _quadrature(b: Array) -> tuple[Array, Array]:
-    """Return factors (n,) of Re S and Im S in Re(i exp(i b) S), for b = omega dt / 2 at signed frequencies.
+    """Return two factors (n,), of Re S and of Im S in Re(i exp(i b) S), for b = omega dt / 2 at signed omega.
     S is a cross spectrum of numpy's transforms, the conjugate of that of waves exp(i (k . x - omega t))."""
     imaginary = np.where(b < 0, -1.0, 1.0) * np.cos(b)
     imaginary[[0, b.size // 2]] = 0.0

@@ -307,8 +307,7 @@ def k_coords(k: Array) -> Coordinates:
 
 @dataclass(frozen=True)
 class Welch:
-    """Welch's method for a `Record`, the usable part of a cube: segments, frequencies, rings of |k|,
-    factors."""
+    """Settings and factors of Welch's method for a `Record`, which is the usable part of a cube."""
 
     record: Record  # rectangle and runs
     segment: int  # steps of a segment
@@ -353,7 +352,7 @@ class Welch:
 
     @property
     def duration(self) -> float:
-        """Effective duration of the record, s: (int w)^2 / int w^2 of the sum w of squared windows."""
+        """Effective duration of the record, s: (int w)^2 / int w^2, where w is the sum of squared windows."""
         return self.segment * self.record.dt * 18 * self.count**2 / (38 * self.count - 3)
 
     @property
