@@ -48,7 +48,7 @@ class Levelled:
 
     @property
     def sentence(self) -> str:
-        """The tilt, the height, and how far sight lines miss each other, in words for the user."""
+        """Sentence for the user: tilt, height, and the distance by which sight lines miss each other."""
         height = spell_uncertain(self.height, self.height_std, "m")
         turned = spell_uncertain(self.tilt, self.tilt_std, "degrees")
         return (
@@ -61,7 +61,7 @@ class Levelled:
 
     @property
     def _unknown(self) -> str:
-        """A clause on the unknown uncertainties (of height, or of tilt and height); empty if known."""
+        """Clause on an unknown uncertainty of the height, or of tilt and height; empty if both are known."""
         if np.isfinite(self.height_std):
             return ""
         which = "height" if np.isfinite(self.tilt_std) else "tilt and the height"
@@ -75,9 +75,9 @@ def level_on_water(
     distance: float | None = None,
 ) -> Levelled:
     """Bring z = 0 to the mean surface of moving water, by matched features and, if given, the horizon.
-    `matches` holds matched pixels by pair of cameras, for each instant; `horizons` holds points of the
-    horizon (n, 2), px, by camera. If the `distance` between two cameras, m, is given, the pose of the second
-    is fitted too, and the origin is on the water below the midpoint between them."""
+    `matches` holds, for each instant, matched pixels by pair of cameras; `horizons` holds points of the
+    horizon (n, 2), px, by camera. If the `distance` between the two cameras, m, is given, the pose of the
+    second is fitted too, and the origin is on the water below their midpoint."""
     none = np.empty((0, 3))
     surfaces = [
         np.concatenate([none, *(points_of(rig[a], rig[b], pixels) for (a, b), pixels in by_pair.items())])
@@ -140,9 +140,9 @@ def _best_fit(
     distance: float | None,
 ) -> tuple[PlatformFit, tuple[float, float], str]:
     """Fit the mean surface to matched pixels, and also to the horizon if it agrees with the mean surface.
-    Returns the fit, the standard uncertainties of tilt (degrees) and height (m), and the source of the
-    vertical, in words. `horizons` holds points (n, 2), px, by camera; `distance`, m, is between two
-    cameras."""
+    Returns the fit, the standard uncertainties of tilt (degrees) and height (m), and a sentence that names
+    the source of the vertical. `horizons` holds points (n, 2), px, by camera; `distance` (m or None)
+    separates two cameras."""
     free = fit_platform(start, matches, {}, distance)
     std = jackknife_std(free, matches, {}, distance)
     if not horizons:
@@ -160,8 +160,8 @@ def _best_fit(
 
 
 def _epipolar_error(rig: Rig, matches: Sequence[Mapping[tuple[str, str], Pixels]]) -> float:
-    """Return the median distance of matches from their epipolar lines, px, without outliers.
-    `matches` holds matched pixels by pair of cameras, for each instant."""
+    """Return the median distance, px, of matched pixels from their epipolar lines, without outliers.
+    `matches` holds, for each instant, matched pixels by pair of cameras."""
     distances = [
         epipolar_distance(rig[a], rig[b], *p.T, *q.T)
         for by_pair in matches

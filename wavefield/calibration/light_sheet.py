@@ -34,7 +34,7 @@ PEAK_LEVEL = 0.5  # of the maximum; correlations above it belong to the peak
 
 
 def particles(image: Image, visible: Mask) -> Image:
-    """Remove the illumination from an image, scale it to unit variance, and clip bright particles.
+    """Return an image of particles with unit variance: illumination removed, bright particles clipped.
     Pixels outside the mask `visible` are ignored and become zero."""
     weight = cv2.GaussianBlur(visible.astype(np.float32), (0, 0), LIGHT_SCALE)
     light = cv2.GaussianBlur(np.where(visible, image, np.float32(0)), (0, 0), LIGHT_SCALE)
@@ -48,7 +48,7 @@ def particles(image: Image, visible: Mask) -> Image:
 
 @dataclass
 class Correlation:
-    """Cross-correlations of the images of two cameras in square windows, summed over many instants."""
+    """Cross-correlations between the images of two cameras, in square windows, summed over many instants."""
 
     rows: Sequence[int]  # First image row of each row of windows
     columns: Sequence[int]  # First image column of each column of windows
@@ -62,7 +62,7 @@ class Correlation:
         self._taper = np.sqrt(np.outer(edge, edge)).astype(np.float32)
 
     def add(self, a: Image, b: Image) -> None:
-        """Add the correlation of one instant; a and b are the cameras' images from `particles`."""
+        """Add the correlation of one instant; a and b are the images of the two cameras, from `particles`."""
         for i, row in enumerate(self.rows):
             lines = slice(row, row + self.side)
             pieces = np.stack([[q[lines, c : c + self.side] for c in self.columns] for q in (a, b)])
@@ -78,7 +78,7 @@ class Correlation:
 
 
 def _centre(plane: Image) -> tuple[float, float]:
-    """Return the position (x, y), px, of the peak of a correlation `plane` relative to zero shift.
+    """Return the position (x, y) of the peak of a correlation `plane`, px from zero shift.
     It is NaN if the peak is insignificant or at the edge."""
     middle, peak = plane.shape[0] // 2, _peak(plane)
     background = plane[~cv2.dilate(peak.view(np.uint8), np.ones((9, 9), np.uint8)).view(bool)]
@@ -92,7 +92,7 @@ def _centre(plane: Image) -> tuple[float, float]:
 
 
 def _peak(plane: Image) -> Mask:
-    """Return a mask of the connected points around a correlation's maximum that exceed half of it."""
+    """Return a mask of the peak of a correlation: connected points over half of the maximum."""
     top = np.unravel_index(int(plane.argmax()), plane.shape)
     _, parts = cv2.connectedComponents((plane > PEAK_LEVEL * plane.max()).astype(np.uint8))
     return np.asarray(parts == parts[top])
@@ -103,7 +103,7 @@ Read = Callable[[str, int], NDArray[np.generic] | None]  # reads the image of a 
 
 class SheetWindows:
     """Measures the shift between the dewarped images of each pair of cameras, in windows `side` px wide.
-    The images are read by `read`, for the frame numbers `instants`."""
+    `read` reads the images, for the frame numbers `instants`."""
 
     def __init__(self, rig: Rig, side: int, read: Read, instants: Sequence[int]) -> None:
         self.rig = rig
@@ -126,7 +126,7 @@ class SheetWindows:
         self._disparities = {pair: total.disparities() for pair, total in self._correlations.items()}
 
     def _add(self, read: Read, instants: Sequence[int], x: Array, y: Array) -> int:
-        """Add the correlations of all frames `instants`; return the number of usable frames.
+        """Add the correlations of all frames `instants`; return how many of the frames were usable.
         Images are resampled at positions x, y, m, on z = 0."""
         maps = {name: sight_map(self.rig[name], x, y) for name in self.rig}
         used = 0
@@ -143,7 +143,7 @@ class SheetWindows:
         return used
 
     def matches(self) -> dict[str, Array]:
-        """Return, by camera, the pixels (windows, 2) of the same particles in each window; NaN if unknown."""
+        """Return pixels (windows, 2) of the same particles in each window, by camera; NaN if unknown."""
         reference = self.pairs[0][0]
         out = {reference: self._pixels(reference, np.zeros((*self.x.shape, 2)))}
         out |= {name: self._pixels(name, shift) for (_, name), shift in self._disparities.items()}
@@ -154,7 +154,7 @@ class SheetWindows:
         return np.stack(self.rig[name].project(self.x + dx, self.y + dy, 0.0), axis=-1).reshape(-1, 2)
 
     def rms(self) -> float:
-        """Return the rms disparity of all pairs and windows, in pixels of the dewarped images."""
+        """Return the rms disparity over all pairs of cameras and windows, px of the dewarped images."""
         squares = [np.sum(np.square(shift), axis=-1) for shift in self._disparities.values()]
         return float(np.sqrt(np.nanmean(squares)))
 
@@ -164,7 +164,7 @@ SIDES = 128, 64, 64  # px: side of the windows in each pass; a fourth pass chang
 
 @dataclass(frozen=True)
 class LightSheet:
-    """Result of `find_sheet`: a rig with z = 0 in the light sheet, and the sheet's place in the given rig."""
+    """Result of `find_sheet`: a rig with z = 0 in the light sheet, and the sheet's place in the old frame."""
 
     rig: Rig  # z = 0 in the middle of the sheet
     height: float  # Height of the sheet above the old z = 0 at the origin, metres
@@ -180,7 +180,7 @@ class LightSheet:
 
     @property
     def sentence(self) -> str:
-        """A text for the user: the sheet's position, the disparities, and the cameras that moved."""
+        """Sentence for the user: position of the sheet, disparities, and cameras that have moved."""
         x, y = (1e3 * part for part in self.slope)
         return (
             f"light sheet: {1e3 * self.height:+.3f} mm at the origin, slope {x:+.2f}, {y:+.2f} mrad along "

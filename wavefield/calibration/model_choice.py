@@ -1,4 +1,4 @@
-"""Predict how uncertain a calibration makes projected pixels and z, and choose the camera model by it."""
+"""Predict errors of projected pixels and of z from the covariance of a fit; choose the camera model."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -16,8 +16,8 @@ CELLS = 8  # along each side of an image; the coverage is the fraction of cells 
 
 @dataclass(frozen=True)
 class PredictedErrors:
-    """Standard uncertainties of projected pixels and of z that the calibration causes, and image coverage.
-    The uncertainties hold in the volume where the rig will be used."""
+    """Standard uncertainties of projected pixels and of z due to the calibration, and image coverage.
+    The uncertainties are means over the volume where the rig will be used."""
 
     reprojection: Mapping[str, float]  # Of a projected point, px, by camera; rms over volume and axes
     z_std: float  # Of z, metres, rms over the volume; NaN for one camera
@@ -26,8 +26,8 @@ class PredictedErrors:
 
 
 def predict_errors(observations: Observations, result: Fit, level: bool = True) -> PredictedErrors:
-    """Propagate the covariance of the fitted parameters to projected positions and to z.
-    The uncertainties hold near z = 0 where all cameras see it; if `level` is false, at the target nodes."""
+    """Return the errors of projected pixels and of z that follow from the covariance of a fit.
+    They hold near z = 0 where all cameras see it or, if `level` is false, at the target nodes."""
     o = observations
     points = volume_points(o, result, level)
     _, J, by_point = project_points(o, result, points)
@@ -54,7 +54,7 @@ def predict_errors(observations: Observations, result: Fit, level: bool = True) 
 
 def project_points(observations: Observations, result: Fit, points: Array) -> tuple[Array, Array, Array]:
     """Return the pixels (C, n, 2) of points (n, 3), metres, in all C cameras, and two arrays of derivatives.
-    The first is by the p parameters of the fit, (C, n, 2, p), the second by position, (C, n, 2, 3), px/m."""
+    The first is by the p parameters of the fit, (C, n, 2, p), the second by the point, (C, n, 2, 3), px/m."""
     o = observations
     C, n = len(o.cameras), len(points)
     # treat the points as a target whose pose is fixed in the frame of the rig
@@ -66,8 +66,8 @@ def project_points(observations: Observations, result: Fit, points: Array) -> tu
 
 
 def volume_points(o: Observations, result: Fit, level: bool) -> Array:
-    """Return points (n, 3), m, in the volume where the rig will be used: near z = 0 where all cameras see it.
-    If `level` is false, they are observed target nodes instead."""
+    """Return points (n, 3), m, near z = 0 where all cameras see it, to predict errors of the rig.
+    If `level` is false, return observed target nodes instead."""
     g = result.geometry
     if not level:
         world = g.world(o)
@@ -114,8 +114,8 @@ def choose_model(
 ) -> tuple[str, Fit]:
     """Return the camera model with the smallest expected error where the rig will be used, and its fit.
     `fit_model` fits the rig with given free lens terms. The rig will be used near z = 0 or, if `level` is
-    false, near the target nodes. If errors differ by less than 5 %, the model with fewest parameters is
-    taken."""
+    false, near the target nodes. Of models within 5 % of the smallest error, the one with fewest parameters
+    is taken."""
     o, count = observations, 2 * len(observations)
     fits = {name: fit_model(tuple(name.split())) for name in CANDIDATES}
 
@@ -133,8 +133,9 @@ def choose_model(
 
 
 def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: Array) -> dict[str, float]:
-    """Return the expected rms error, px, of projected points (n, 3), by camera model: variance plus bias.
-    The squared bias is the squared difference from the model `reference`, minus the part due to noise."""
+    """Return the expected rms error, px, of projected points (n, 3), by camera model.
+    It is the root of variance plus squared bias. The squared bias is the squared difference from the model
+    `reference`, minus the part due to noise."""
     pixel: dict[str, Array] = {}
     variance: dict[str, float] = {}
     for name, f in fits.items():

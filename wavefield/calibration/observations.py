@@ -44,7 +44,7 @@ class Findings:
     left_out: dict[str, int] = field(default_factory=dict)  # Points left out, by view ("camera pose")
 
     def leave_out(self, camera: str, pose: str, points: int, reason: str = "") -> None:
-        """Count `points` points of the view as left out; if a `reason` is given, add a note with it."""
+        """Record that `points` points of a view were left out; if a `reason` is given, add it as a note."""
         view = f"{camera} {pose}"
         self.left_out[view] = self.left_out.get(view, 0) + points
         if reason:
@@ -53,7 +53,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class Observations:
-    """All n observations of a target: each is the pixel of one of N nodes, in one pose, in one camera."""
+    """All n observations of a target. Each is the pixel of one of N nodes, in one pose, in one camera."""
 
     cameras: tuple[str, ...]  # Names; `camera` below holds indices into them, as `pose` into `poses`
     poses: tuple[str, ...]
@@ -72,7 +72,7 @@ class Observations:
         return len(self.camera)
 
     def only(self, keep: Mask) -> "Observations":
-        """Return a copy with the observations where the mask `keep` (n,) is true, and with all nodes."""
+        """Return a copy with only the observations where the mask `keep` (n,) is true. All nodes are kept."""
         parts = {key: getattr(self, key)[keep] for key in ("camera", "pose", "node", "pixel", "std")}
         return replace(self, **parts)
 
@@ -80,8 +80,8 @@ class Observations:
     def of_points(
         cameras: tuple[str, ...], sizes: tuple[tuple[int, int], ...], poses: tuple[str, ...], count: int
     ) -> "Observations":
-        """Return placeholder observations of `count` points by every camera in the last pose, for `predict`.
-        Their nominal positions are zero: put the positions of the points into `Geometry.offset`."""
+        """Return placeholder observations of `count` points by all cameras in the last pose, for `predict`.
+        Nominal positions of the points are zero: put their positions into `Geometry.offset`."""
         n = len(cameras) * count
         return Observations(
             cameras,
@@ -101,9 +101,9 @@ class Observations:
 def collect(
     views: Mapping[str, Mapping[str, TargetPoints]], mesh: float, origin: tuple[float, float] = (0.0, 0.0)
 ) -> Observations:
-    """Join the target points of all views. `views` holds them by camera, then by pose of the target.
-    `mesh` is the distance between neighbouring nodes, `origin` the position (x, y) of node (0, 0), both in
-    metres."""
+    """Join the target points of all views, given by camera and by pose of the target.
+    `mesh` is the distance between neighbouring nodes, `origin` the position (x, y) of node (0, 0), in metres.
+    """
     cameras = tuple(views)
     poses = tuple(dict.fromkeys(pose for by_pose in views.values() for pose in by_pose))
     rows = [
@@ -136,7 +136,7 @@ def collect(
 
 @dataclass(frozen=True)
 class Geometry:
-    """Lenses and positions of C cameras, P poses of the target, and offsets of the target's N nodes."""
+    """Lenses and positions of C cameras, P poses of a target, and position errors of the target's N nodes."""
 
     lens: Array  # (C, 12): Lens of each camera, in the order of `LENS`
     R: Array  # (C, 3, 3): Rotation from world to camera
@@ -159,7 +159,7 @@ class Geometry:
         )
 
     def world(self, observations: Observations) -> Array:
-        """Return the position (n, 3), metres, in the world frame, of the node of each observation."""
+        """Return the position (n, 3) in the world frame, metres, of the node of each observation."""
         points = (observations.nominal + self.offset)[observations.node]
         pose = observations.pose
         world: Array = np.einsum("nij,nj->ni", self.pose_R[pose], points) + self.pose_t[pose]
@@ -167,8 +167,8 @@ class Geometry:
 
 
 def common_extent(cameras: Sequence[Camera], nominal: Array) -> tuple[Array, Array]:
-    """Return the lower and upper corners (x, y), m, of the rectangle on z = 0 that all cameras see.
-    If there is none, the rectangle encloses the target nodes `nominal` (N, 3), m."""
+    """Return two corners (x, y), m, lowest and highest, of the rectangle on z = 0 that all cameras see.
+    If cameras see no common area, the rectangle encloses the target nodes `nominal` (N, 3), m."""
     try:
         views = [view_on_water(camera) for camera in cameras]
     except RigError:  # without a flat view, the plane z = 0 may be out of view

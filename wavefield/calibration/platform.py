@@ -1,6 +1,6 @@
 """Level and height of cameras on a platform above the sea, from the horizon and the mean surface.
 
-`up` is the unit vector of the vertical in the rig's frame. Matched features are on the waves, not on the mean
+`up` is the vertical unit vector in the rig's frame. Matched features are on the waves, not on the mean
 surface; averaged over many instants, the elevation of the waves is zero.
 """
 
@@ -31,14 +31,14 @@ TRIALS = 2000  # of RANSAC; with one true edge in eight, thirty of them pick two
 
 
 def dip(height: float) -> float:
-    """Return the angle, rad, of the horizon below the horizontal, seen from a height, m, with refraction."""
+    """Return the angle, rad, of the sea horizon below the horizontal, with refraction, at a height, m."""
     return float(np.sqrt(2.0 * max(height, 0.0) / EARTH_RADIUS))
 
 
 def find_horizon(mean: NDArray[np.generic], camera: Camera) -> Array | None:
-    """Return points (n, 2), px, of the horizon in the mean image of a fixed camera; None if there is none.
-    The mean is over many instants. The horizon is straight in the undistorted image, with a roll of up to 45
-    degrees."""
+    """Return points (n, 2), px, of the horizon in the mean image of a fixed camera; None if none is found.
+    The image is averaged over many instants. The horizon is straight in the undistorted image, with a roll of
+    up to 45 degrees."""
     smooth = np.asarray(cv2.GaussianBlur(np.asarray(mean, np.float32), (0, 0), SMOOTHING), float)
     steepness = np.abs(np.gradient(smooth, axis=0))
     above, here, below = steepness[:-2], steepness[1:-1], steepness[2:]
@@ -58,8 +58,8 @@ def find_horizon(mean: NDArray[np.generic], camera: Camera) -> Array | None:
 
 def _line(tangents: Array, strength: Array, reach: float) -> NDArray[np.bool_]:
     """Return a mask (n,) of the edge points on the straight line with the largest sum of gradients (RANSAC).
-    `tangents` (n, 2) are undistorted positions and `strength` (n,) grey-value gradients of the edge
-    points; `reach` is the largest distance from the line, in units of tangents."""
+    `tangents` (n, 2) are undistorted positions of the edge points, `strength` (n,) grey-value gradients;
+    `reach` is the largest distance from the line, in units of tangents."""
     rng = np.random.default_rng(0)
     weight = np.minimum(strength, np.median(strength))
     best, inlier = 0.0, np.zeros(len(tangents), bool)
@@ -98,7 +98,7 @@ MIN_DOWN = 0.02  # sine of the smallest angle of a sight line below the horizont
 
 @dataclass(frozen=True)
 class PlatformFit:
-    """Cameras in one frame, and the plane of the sea's mean surface, up . x + offset = 0, in that frame."""
+    """Cameras in one frame, and the plane of the sea's mean surface in that frame: up . x + offset = 0."""
 
     cameras: Mapping[str, Camera]
     up: Array  # (3,): Unit vector
@@ -109,8 +109,8 @@ class PlatformFit:
         return float(self.up @ self.cameras[name].centre + self.offset)
 
     def distance(self, matches: Sequence[Mapping[Pair, Pixels]]) -> float:
-        """Return the median distance of the matched features from the first camera, m; 0 without matches.
-        `matches` holds matched pixels by pair of cameras, for each instant."""
+        """Return the median distance, m, from the first camera to the matched features; 0 without matches.
+        `matches` holds, for each instant, matched pixels by pair of cameras."""
         name, camera = next(iter(self.cameras.items()))
         pixels = [a for one in matches for (first, _), (a, _) in one.items() if first == name and len(a)]
         if not pixels:
@@ -135,8 +135,8 @@ def fit_platform(
     distance: float | None = None,
 ) -> PlatformFit:
     """Fit the plane of the sea's mean surface to matched pixels and horizon points.
-    `matches` holds matched pixels by pair of cameras, for each instant; `horizons` holds points of the
-    horizon (n, 2), px, by camera. If the `distance` between two cameras, m, is given, the pose of the
+    `matches` holds, for each instant, matched pixels by pair of cameras; `horizons` holds points of the
+    horizon (n, 2), px, by camera. If the `distance` between the two cameras, m, is given, the pose of the
     second is fitted too."""
     kept = [one for one in _joined(matches) if len(one.a)]
     kept = [_on_water(start, one) for one in kept]
@@ -160,9 +160,9 @@ def jackknife_std(
     fit: PlatformFit, matches: Sequence[Instant], horizons: Mapping[str, Array], distance: float | None
 ) -> tuple[float, float]:
     """Return the jackknife standard uncertainties of tilt (degrees) and height (m), over groups of instants.
-    Successive instants form a group; groups must show different waves. With one instant, the height's
-    uncertainty is NaN, and the tilt's is the error of the horizon, or NaN without `horizons`. The
-    arguments are as in `fit_platform`."""
+    A group consists of successive instants, because these show the same waves. With one instant, the
+    uncertainty of the height is NaN, and that of the tilt is the error of the horizon (NaN without
+    `horizons`). `fit_platform` describes the arguments."""
     # leave out successive instants together, because they show the same waves
     groups = np.array_split(np.arange(len(matches)), min(GROUPS, len(matches)))
     first = next(iter(fit.cameras))
@@ -188,7 +188,7 @@ def jackknife_std(
 
 
 def _joined(matches: Sequence[Instant]) -> list[_Match]:
-    """Join the matches of all instants by pair of cameras, thinned evenly to `MAX_MATCHES` of each pair."""
+    """Join the matches of all instants by pair of cameras; keep every k-th, up to `MAX_MATCHES` per pair."""
     out = []
     for pair in dict.fromkeys(pair for one in matches for pair in one):
         parts = [one[pair] for one in matches if pair in one]
@@ -199,7 +199,7 @@ def _joined(matches: Sequence[Instant]) -> list[_Match]:
 
 
 def _on_water(fit: PlatformFit, one: _Match) -> _Match:
-    """Return the matches that are near their epipolar lines, below the horizon and not too far away."""
+    """Return the matches near their epipolar lines, below the horizon and within a limit of distance."""
     first, second = (fit.cameras[name] for name in one.pair)
     near = np.abs(epipolar_distance(first, second, *one.a.T, *one.b.T)) < MAX_EPIPOLAR_ERROR
     down = -(sight_lines(first, one.a) @ first.R @ fit.up)
@@ -211,8 +211,8 @@ def _on_water(fit: PlatformFit, one: _Match) -> _Match:
 
 def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
     """Return the fit after a step x (3,): two tilts of the mean surface, rad, and a change of `offset`, m.
-    If `distance`, m, is given, x (8,) begins with a rotation vector (3), rad, of the second camera, and its
-    shift (2), in units of `distance`, perpendicular to the line between the cameras."""
+    If `distance`, m, is given, x is (8,). It then begins with a rotation vector (3) of the second camera,
+    rad, and its shift (2) perpendicular to the line between the cameras, in units of `distance`."""
     cameras = dict(fit.cameras)
     if distance is not None:
         one, name = list(cameras)[:2]
@@ -229,9 +229,9 @@ def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
 
 
 def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Array]:
-    """Return the distances (n,), px, of matches across and along their epipolar lines, in this order.
-    Distances along the line start at the pixel of water without waves. The third result (n,), px/m, is
-    their derivative by the elevation of the water."""
+    """Return distances (n,), px, of matches from two places: across, along, and the derivative of along.
+    Across is the distance from the epipolar line. Along is the distance on that line from the pixel of water
+    without waves; its derivative by the elevation of the water is (n,), px/m."""
     first, second = (fit.cameras[name] for name in one.pair)
     rays = sight_lines(first, one.a) @ first.R
     down = np.minimum(rays @ fit.up, -MIN_DOWN / 4)
@@ -248,7 +248,7 @@ def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Arra
 
 
 def _sizes(fit: PlatformFit, one: _Match) -> tuple[float, Array]:
-    """Return the standard deviations, px, of matches across (a number) and along (n,) epipolar lines."""
+    """Return standard deviations, px, of matches: across epipolar lines (a number) and along them, (n,)."""
     across, along, per_metre = _along_and_across(fit, one)
     noise = max(robust_std(across), 0.05)
     waves = max(robust_std(along / per_metre), 1e-3)
@@ -265,7 +265,7 @@ def _residuals(
     instants: int,
 ) -> Array:
     """Return residuals of matches and horizon points after a step x, in standard deviations.
-    `sizes` are the results of `_sizes` for `kept`, the matches from a number of `instants`."""
+    `sizes` are the results of `_sizes` for the matches `kept`, which come from `instants` instants."""
     now = _stepped(fit, x, distance)
     out = []
     for one, (noise, expected) in zip(kept, sizes, strict=True):

@@ -60,8 +60,8 @@ FREE_COLUMNS = ("x", "y", "z", "X", "Y")
 def read_points(
     path: str | Path, size: tuple[int, int] | None = None, std: float = 0.1, unit: float | None = None
 ) -> TargetPoints:
-    """Read target points from a CSV file with the columns i, j, X, Y and perhaps std (px) and z (metres).
-    If `unit` (metres) is given, the columns are x, y, z in this unit, X, Y and perhaps std. The image's
+    """Read target points from a CSV file with columns i, j, X, Y and, optionally, std (px) and z (metres).
+    If `unit` (metres) is given, the columns are x, y, z in this unit, X, Y and, optionally, std. The image
     `size` (width, height), px, and `std` are used if they are not in the file."""
     path = Path(path)
     lines = _lines(path)
@@ -108,7 +108,7 @@ def _stated_size(lines: list[str], path: Path) -> tuple[int, int] | None:
 
 
 def _table(lines: list[str], path: Path, std: float, unit: float | None) -> tuple[Array, bool]:
-    """Return the lines of a file as a table (n, 6), and whether it has a column z.
+    """Return the lines of a file as a table (n, 6), and whether the file has a column z.
     The columns of the table are i, j (or x, y in `unit`), X, Y, std, z (metres). `std`, px, replaces missing
     values."""
     rows = [line for line in lines if line.strip() and not line.startswith("#")]

@@ -16,7 +16,7 @@ MAX_SEARCH_SIZE = 1500  # px; larger images are halved for the search: OpenCV's 
 
 
 def find_chessboard(image: Image, target: Target) -> TargetPoints:
-    """Find the inner corners of a chessboard; all of them must be in view."""
+    """Find the inner corners of a chessboard, all of which must be in view."""
     nx, ny = shape_of(target)
     pixel = _chessboard_corners(image, (nx, ny))
     if pixel is None:
@@ -32,7 +32,7 @@ def find_chessboard(image: Image, target: Target) -> TargetPoints:
 
 def _refined(image: Image, node: Nodes, pixel: Array, reach: float = 0.35) -> Array:
     """Return the corners (n, 2), px, refined by OpenCV's `cornerSubPix`.
-    `reach` is half the width of its windows, in distances between neighbouring corners."""
+    `reach` is half the width of the search windows, in distances between neighbouring corners."""
     half = int(np.clip(reach * mesh_length(node, pixel), 2, 7))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
     start = pixel.astype(np.float32).reshape(-1, 1, 2)
@@ -40,7 +40,7 @@ def _refined(image: Image, node: Nodes, pixel: Array, reach: float = 0.35) -> Ar
 
 
 def _chessboard_corners(image: Image, shape: tuple[int, int]) -> Array | None:
-    """Return the corners (n, 2), px, from the first OpenCV detector that finds them; None if none does.
+    """Return the corners (n, 2), px, from the first OpenCV detector that finds them, or None.
     `shape` is the number of inner corners along x and y."""
     picture, factor = _as_bytes(image), 1.0
     while max(picture.shape) > MAX_SEARCH_SIZE:

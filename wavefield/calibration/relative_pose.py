@@ -28,7 +28,7 @@ MAX_EPIPOLAR_ERROR = 3.0  # px, of a correct match: features are found to about 
 
 
 def match_features(one: NDArray[np.generic], other: NDArray[np.generic]) -> Pixels:
-    """Return the pixels (n, 2), in each of two images, of SIFT features (Lowe 2004) that match mutually."""
+    """Return the pixels, (n, 2) in each of two images, of SIFT features (Lowe 2004) that match both ways."""
     sift = cv2.SIFT.create(nfeatures=MAX_FEATURES)
     found = [sift.detectAndCompute(_bytes(image), None) for image in (one, other)]
     if any(len(points) < 2 for points, _ in found):
@@ -54,7 +54,7 @@ def _bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 
 def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -> Camera:
-    """Return camera `other` with a new pose relative to `one`, such that sight lines of `matches` meet.
+    """Return camera `other` with a new pose relative to `one`, for which sight lines of `matches` meet.
     `distance` is the distance between the two cameras, metres. Raises a RigError for too few matches."""
     a, b = matches
     if len(a) < MIN_MATCHES:
@@ -77,8 +77,8 @@ def place_second(one: Camera, other: Camera, matches: Pixels, distance: float) -
 
 def _starts(E: Array, one: Array, other: Array, reach: float) -> list[Pose]:
     """Return start poses (rotation, unit translation) of the second camera relative to the first.
-    Sources are the essential matrix E and a homography; on a nearly flat surface only the homography is
-    right. `one` and `other` (n, 2) are tangents of matches, `reach` is the tolerance of the homography."""
+    They come from the essential matrix E and a homography; on a nearly flat surface only the latter is right.
+    `one` and `other` (n, 2) are tangents of the matches' angles, `reach` is the homography's tolerance."""
     _, R, t, _ = cv2.recoverPose(E, one, other, np.eye(3))
     out = [(np.asarray(R, float), np.asarray(t, float).ravel())]
     H, _ = cv2.findHomography(one, other, cv2.RANSAC, reach)
@@ -96,7 +96,7 @@ def _fitted(
     one: Camera, other: Camera, matches: Pixels, distance: float, start: Pose
 ) -> tuple[Camera, float]:
     """Fit the pose of camera `other` to the matches; return the camera and the remaining robust loss.
-    `start` is a pose (rotation, unit translation) relative to `one`; `distance`, m, is between both."""
+    `start` is a pose (rotation, unit translation) relative to `one`; `distance`, m, separates the cameras."""
     R, t = start
     across = np.linalg.svd(t[None])[2][1:]  # two directions across t
 
@@ -121,7 +121,7 @@ def _too_few(count: int) -> str:
 
 
 def points_of(one: Camera, other: Camera, matches: Pixels) -> Array:
-    """Return the points (m, 3), metres, where sight lines of matches meet in front of both cameras."""
+    """Return the points (m, 3), metres, where sight lines of matches meet in front of the two cameras."""
     a, b = matches
     near = np.abs(epipolar_distance(one, other, *a.T, *b.T)) < MAX_EPIPOLAR_ERROR
     if not near.any():

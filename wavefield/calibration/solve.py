@@ -211,8 +211,9 @@ def _fit_and_choose(
 
 
 def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observations) -> Geometry:
-    """Return the geometry with lens terms outside `terms` reset to an ideal lens: no distortion, principal
-    point at the image centre. Image sizes are those of `observations`."""
+    """Return the geometry with lens terms outside `terms` reset to those of an ideal lens.
+    An ideal lens has no distortion, and its principal point is the image centre. `observations` gives sizes.
+    """
     lens = geometry.lens.copy()
     free = {"fx", "fy"}.union(*(TERMS[term] for term in terms))
     fixed = [column for column, name in enumerate(LENS) if name not in free]
@@ -226,7 +227,7 @@ def _restricted(geometry: Geometry, terms: Sequence[str], observations: Observat
 
 def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
     """Return a mask (n,) of the observations to keep; rejected ones are recorded in `findings`.
-    A view that is much worse than the others is rejected as a whole; if there is none, single bad points."""
+    A view that is much worse than the others is rejected whole. Else, single bad points are rejected."""
     deviation = np.abs(result.residual).max(axis=1) / o.std
     view = o.camera * len(o.poses) + o.pose
     spread = {
@@ -258,7 +259,7 @@ def _inliers(o: Observations, result: Fit, findings: Findings) -> Mask:
 
 
 def _provenance(calibration: Calibration) -> dict[str, Any]:
-    """Return the results of the calibration as plain numbers, texts and lists, for the rig file."""
+    """Return the results of the calibration as a dict of numbers, texts and lists, for the rig file."""
     o, result, errors = calibration.observations, calibration.fit, calibration.predicted
     assert o is not None
     assert result is not None

@@ -1,7 +1,7 @@
 """Check whether cameras have moved since the calibration, and correct them from images of still water.
 
 A match is a set of pixels of one point of the water surface, at most one per camera. The misfit is the
-distance, px, by which the sight lines of a match miss each other.
+distance, px, by which the sight lines of matches miss each other.
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,8 +53,8 @@ def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
 
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
-    """Return the points x, y, z, each (n,), m, that are nearest to the sight lines of each match.
-    The fourth result is the observed minus the projected pixels, (n, cameras, 2)."""
+    """Return the point nearest to the sight lines of each match, as x, y, z, (n,) each, m; and residuals.
+    The residuals are observed minus projected pixels, (n, cameras, 2)."""
     names, pixel = stack_matches(rig, matches)
     cameras = [rig[name] for name in names]
     apparent = np.stack([np.stack(c.unproject(*pixel[:, k].T)) for k, c in enumerate(cameras)])
@@ -72,7 +72,7 @@ def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array
 
 @dataclass(frozen=True)
 class Solution:
-    """The cameras that best explain matched pixels; the result of `SightLineFit.solve`."""
+    """Camera parameters that best explain matched pixels; the result of `SightLineFit.solve`."""
 
     x: Array  # (p,): Steps from the calibrated rig
     misfit: float  # Robust distance by which sight lines then miss each other, px
@@ -80,8 +80,8 @@ class Solution:
 
 
 class SightLineFit:
-    """Least-squares fit of a rig's cameras to matched pixels, whose standard uncertainty is `std`, px.
-    The calibration of the rig is the prior; its covariance is stored in the rig's provenance."""
+    """Least-squares fit of a rig's cameras to matched pixels with the standard uncertainty `std`, px.
+    The calibration of the rig is the prior; the rig's provenance holds its covariance."""
 
     def __init__(self, rig: Rig, matches: Matches, std: float):
         self.names, pixel = stack_matches(rig, matches)
@@ -115,7 +115,7 @@ class SightLineFit:
 
     @property
     def matches(self) -> dict[str, Array]:
-        """The matched pixels (n, 2) that the fit uses, by camera; NaN where a camera sees no point."""
+        """The matched pixels (n, 2) that the fit uses, by camera; NaN if a camera does not see the point."""
         return {name: self.pixel[:, k] for k, name in enumerate(self.names)}
 
     def rig_at(self, x: Array) -> Rig:
@@ -124,7 +124,7 @@ class SightLineFit:
         return Rig({**self.rig.cameras, **dict(zip(self.names, cameras))}, self.rig.provenance)
 
     def solve(self, free: Sequence[str]) -> Solution:
-        """Find the most probable parameters if only the cameras named in `free` may have moved."""
+        """Return the most probable parameters if only the cameras named in `free` may have moved."""
         covariance = self.covariance.copy()
         for name in free:
             k = self.layout.camera[self.names.index(name)]
@@ -144,13 +144,13 @@ class SightLineFit:
         return Solution(x, self.misfit(r[: self.pixel.size]), huber(r, HUBER_LIMIT))
 
     def _linearised(self, x: Array) -> tuple[Array, Array]:
-        """Return the normalised residuals (n, 2C, 1) of C cameras and their derivatives (n, 2C, p) at x (p,).
-        The component that a shift of the matched point in space would explain is projected out."""
+        """Return normalised residuals (n, 2C, 1) of C cameras, and derivatives (n, 2C, p) by x (p,), at x.
+        The component that a shift of the matched point in space would explain is removed from both."""
         point = np.stack(sight_points(self.rig_at(x), self.matches)[:3], axis=-1)
         pixel, J, A = linearised(replace(self.start, offset=point), self.layout, x, self.observations)
 
         def by_point(values: Array) -> Array:
-            """Reorder (C n, 2, ...) to (n, C, 2, ...); zero where a camera does not see the point."""
+            """Reorder (C n, 2, ...) to (n, C, 2, ...), with 0 where a camera does not see the point."""
             own = np.moveaxis(values.reshape(len(self.names), self.n, 2, -1), 0, 1)
             return np.ascontiguousarray(np.where(self.visible[..., None, None], own, 0.0))
 
@@ -162,17 +162,17 @@ class SightLineFit:
         return r - Q @ (Q.transpose(0, 2, 1) @ r), J - Q @ (Q.transpose(0, 2, 1) @ J)
 
     def angle(self, solution: Solution, name: str) -> float:
-        """Return the angle by which `solution` turns the camera `name` from its calibration, degrees."""
+        """Return the angle, degrees, between the camera `name` in `solution` and in the calibrated rig."""
         k = self.layout.camera[self.names.index(name)]
         return float(np.degrees(np.linalg.norm(solution.x[k : k + 3])))
 
     def image_shift(self, solution: Solution, name: str) -> float:
-        """Return the shift of the image, px, that corresponds to the camera's rotation in `solution`."""
+        """Return the image shift, px, caused by the rotation of camera `name` in `solution`."""
         return self.rig[name].fx * float(np.radians(self.angle(solution, name)))
 
     def misfit(self, projected: Array) -> float:
-        """Return the robust distance, px, by which sight lines miss each other.
-        `projected` holds residuals over `std`, without the component that shifts of points explain."""
+        """Return the robust distance, px, by which sight lines miss each other, from residuals over `std`.
+        The component that shifts of the matched points explain is removed from the residuals `projected`."""
         norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
         # normalise by the median of a chi distribution with 2 cameras - 3 degrees of freedom
         median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))
@@ -185,9 +185,9 @@ class SightLineFit:
 
 
 def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[ParameterLayout, Array]:
-    """Return the layout of the cameras' parameters and the prior covariance (p, p) of these parameters.
-    The covariance comes from the rig's provenance. Without it, only camera poses are free, with default
-    uncertainties."""
+    """Return the layout of the camera parameters and the prior covariance (p, p) of these parameters.
+    The covariance comes from the rig's provenance. Without it, only camera poses are free, and default
+    uncertainties are used."""
     stated = rig.provenance.get("covariance")
     columns: dict[str, list[str]] = {name: [] for name in names}
     if stated:
@@ -228,7 +228,7 @@ Solutions = Mapping[str | None, Solution]  # by the camera that may have moved; 
 
 @dataclass(frozen=True)
 class RigCheck:
-    """Result of `check_rig`: how far sight lines miss each other, and which camera has moved."""
+    """Result of `check_rig`: the distance by which sight lines miss, and the camera that has moved."""
 
     misfit: float  # Robust distance by which sight lines miss, px
     expected: float  # This distance after the best correction of the cameras, px
@@ -266,8 +266,8 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
 
 
 def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
-    """Decide whether a camera has moved, and which; also return the fits that were compared.
-    These are by the name of the camera that was free to move, or None for the fit without motion."""
+    """Decide whether a camera has moved, and which; return this result and the fits that were compared.
+    The key of a fit is the name of the camera that was free to move, or None if none was."""
     solutions: dict[str | None, Solution] = {None: problem.solve(())}
     for name in problem.names:
         solutions[name] = problem.solve((name,))
@@ -310,9 +310,9 @@ def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
 
 
 def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: float, after: float) -> RigCheck:
-    """Return the result of a check: camera `best` has moved, or no motion removes a large misfit.
-    `faulty` are the cameras whose motion explains the misfit about equally well. `before` and `after` are
-    the misfits, px, before and after the correction; `angle`, degrees, is the rotation of `best`."""
+    """Return the result of a check: camera `best` has moved, or no motion explains a large misfit.
+    `faulty` are the cameras whose motion explains the misfit about equally well. `before` and `after` are the
+    misfits, px, before and after the correction; `angle`, degrees, is the rotation of `best`."""
     if after > max(0.5 * before, SHARP_MISFIT_PX):
         text = f"sight lines miss by {before:.2f} px, and by {after:.2f} px with one turned: {_OTHER_CAUSES}"
         return RigCheck(before, after, None, faulty, angle, text)
@@ -325,7 +325,7 @@ def _moved_camera(best: str, faulty: tuple[str, ...], angle: float, before: floa
 
 
 def _refined(problem: SightLineFit, solution: Solution, check: RigCheck) -> Rig:
-    """Return the rig with the cameras of `solution`, and a summary as ``refined`` in its provenance."""
+    """Return the rig with the cameras of `solution`; its provenance gets a summary named ``refined``."""
     note = {
         "misfit_before_px": check.misfit,
         "misfit_after_px": solution.misfit,

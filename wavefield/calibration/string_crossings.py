@@ -20,7 +20,7 @@ Pair = tuple[float, float]
 
 @compiled(inline="always")
 def gaussian(p: float) -> Pair:
-    """Return the standard normal density at p and its integral from 0 to p.
+    """Return the standard normal density at p, and its integral from 0 to p.
     The error is below 1e-7 (Abramowitz and Stegun 1964, 26.2.17); `math.erf` takes twice as long."""
     density = math.exp(-0.5 * p * p) * 0.3989422804014327
     t = 1.0 / (1.0 + 0.2316419 * abs(p))
@@ -30,8 +30,7 @@ def gaussian(p: float) -> Pair:
 
 @compiled(inline="always")
 def profile(d: float, u: float, s: float) -> tuple[float, float, float]:
-    """Return the brightness across a string at distance d, px, from its axis; also the derivatives by d and
-    u.
+    """Return the brightness f at a distance d, px, from the axis of a string, and df/dd, df/du.
     The profile is a box of half width sqrt(u), px, with unit integral, blurred by a Gaussian of std s, px."""
     h = math.sqrt(max(u, 0.0))
     if abs(d) > h + 6.0 * s:
@@ -74,7 +73,7 @@ class Crossings:
 
 @compiled()
 def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: float) -> Array:
-    """Return columns, rows and grey values, as (3, n), of the pixels near a crossing with parameters `start`.
+    """Return columns, rows and grey values, (3, n), of the pixels near a crossing with parameters `start`.
     They are in the parallelogram of the vectors `arm1` and `arm2` (2,) and within `band`, px, of a string."""
     rows, columns = image.shape
     det = arm1[0] * arm2[1] - arm1[1] * arm2[0]
@@ -102,10 +101,10 @@ def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: flo
 def _rows(
     pixels: Array, p: Array, blur: float, variance: Pair, spread: float, free: int, misses: Array, rows: Array
 ) -> float:
-    """Fill `rows` (13, n) in place: 12 weighted derivatives of the model and, last, weighted residuals.
-    Only the first `free` derivatives are filled; linear parameters come first. Also fills `misses` (2, n):
-    residuals of `pixels` (3, n) in grey levels and in standard deviations. Residuals over `spread`
-    standard deviations have zero weight; the number of other pixels is returned."""
+    """Write to rows (13, n), at each of n pixels, 12 weighted derivatives and the weighted residual.
+    Derivatives are of the model by its parameters, the linear ones first; only the first `free` are written.
+    misses (2, n) receives the residuals of `pixels` (3, n) in grey levels and in standard deviations.
+    Residuals over `spread` standard deviations have weight 0; the number of other pixels is returned."""
     c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
     count = 0.0
     for k in range(pixels.shape[1]):
@@ -144,7 +143,7 @@ def _rows(
 
 @compiled()
 def _advance(p: Array, steps: Array, blur: float) -> float:
-    """Add `steps` (linear parameters first) to the parameters p (12,) in place, each within a limit.
+    """Add `steps` (linear parameters first) to the parameters p (12,), in place, each within a limit.
     Returns how far the centre has moved, px: the larger of the steps along x and y."""
     largest = 0.0
     for i in range(len(steps)):
@@ -175,9 +174,9 @@ def _evaluate(
     arms: Array,
     noise: Array,
 ) -> None:
-    """Fill `arms` (4,) and `noise` (4,) in place; both are described in `Crossings`.
-    p (12,) are the fitted parameters, `misses` (2, n) the residuals of `pixels` (3, n) in grey levels and in
-    standard deviations, `angles` the directions of the strings, rad."""
+    """Write the brightness of the arms to arms (4,), and four measures of noise to noise (4,).
+    `Crossings` describes both arrays. p (12,) are the fitted parameters, `misses` (2, n) the residuals of
+    `pixels` (3, n) in grey levels and in standard deviations, `angles` the directions of the strings, rad."""
     c1, s1, c2, s2 = math.cos(angles[0]), math.sin(angles[0]), math.cos(angles[1]), math.sin(angles[1])
     v1, v2 = math.sqrt(blur * blur + p[WIDTH1] / 3.0), math.sqrt(blur * blur + p[WIDTH2] / 3.0)
     found = np.zeros(4)
@@ -224,9 +223,9 @@ def _fit_one(
     arms: Array,
     noise: Array,
 ) -> float:
-    """Fit one crossing by damped Gauss-Newton steps; return the residual over the noise, -1 if the fit fails.
-    Changed in place: the parameters p (12,); `covariance` (2,), the variances of x and y, px^2; `arms`
-    (4,), relative brightnesses; `noise` (4,), mean grey and mean squared residual of background, then
+    """Fit one crossing by damped Gauss-Newton steps; return the ratio of residual to noise, -1 if it fails.
+    Changed in place: the parameters p (12,); `covariance` (2,), the variances of x and y, px^2; `arms` (4,),
+    relative brightnesses; `noise` (4,), mean grey and mean squared residual of the background, then of the
     strings."""
     n = pixels.shape[1]
     if n < 45:
@@ -262,10 +261,10 @@ def _fit_one(
 def _fit_all(
     image: Image, arms: Array, blur: float, band: Array, variance: Pair, p: Array, out: Array
 ) -> None:
-    """Fit all crossings; fills the parameters p (n, 12) and the results `out` (n, 11) in place.
+    """Fit all crossings: write the parameters to p (n, 12) and further results to out (n, 11).
     `arms` (n, 2, 2) and `band` (n,), px, bound the pixels of each crossing. The columns of `out` are two
-    variances, of x and y, px^2, four brightnesses of arms, four values of noise as in `Crossings`, and
-    residual over noise."""
+    variances, of x and y, px^2; the brightness of four arms; four values of noise as in `Crossings`; and the
+    ratio of residual to noise."""
     for k in range(len(p)):
         pixels = _pixels_near(image, p[k], arms[k, 0], arms[k, 1], band[k])
         covariance, brightness, noise = out[k, :2], out[k, 2:6], out[k, 6:10]
@@ -273,9 +272,9 @@ def _fit_all(
 
 
 def start_parameters(pixel: Array, slopes: Array, sigma: float, blur: float) -> Array:
-    """Return start values (n, 12) of centres, angles and widths for `fit_crossings`; the others are zero.
-    `slopes` (n, 2, 2) are steps in the image along the two strings, px. `sigma` is the standard deviation
-    of a string's profile, px, `blur` that of the lens blur, px."""
+    """Return start values (n, 12) of centres, angles and widths for `fit_crossings`; others are zero.
+    `slopes` (n, 2, 2) are steps in the image along the two strings, px. `sigma` is the standard deviation of
+    a string's profile, `blur` that of the blur by lens and pixel, px."""
     p = np.zeros((len(pixel), COUNT))
     p[:, CX], p[:, CY] = pixel.T
     p[:, ANGLE1] = np.arctan2(slopes[:, 0, 1], slopes[:, 0, 0])
@@ -293,8 +292,8 @@ def fit_crossings(
 ) -> Crossings:
     """Fit all crossings from the parameters `start` (n, 12) with Tukey's biweight.
     `slopes` (n, 2, 2) are the steps in the image from each crossing to the next along the two strings, px;
-    `blur`, px, is the std of the blur; `noise` is the variance of a pixel at zero grey and its increase per
-    grey level."""
+    `blur`, px, is the standard deviation of the blur; `noise` is the variance of a pixel at zero grey, and
+    its increase per grey level."""
     parameters = np.array(start, float)
     length = np.hypot(slopes[..., 0], slopes[..., 1])
     arms = slopes * (np.minimum(0.45, MAX_ARM / np.maximum(length, 1e-9)))[..., None]

@@ -36,7 +36,7 @@ NO_GRID = (
 
 
 def best_lattice(image: Image) -> tuple[TargetLattice, float]:
-    """Return the grid of crossings with the brightest lines, and the standard deviation of the smoothing, px.
+    """Return the grid of crossings with the brightest lines, and the smoothing (standard deviation), px.
     Raises a CalibrationError if no grid is found."""
     best: TargetLattice | None = None
     best_scale, most = SCALES[0], 0.0
@@ -60,7 +60,7 @@ def best_lattice(image: Image) -> tuple[TargetLattice, float]:
 
 
 def _light_along(image: Image, lattice: TargetLattice) -> float:
-    """Return excess brightness times length, summed over lines between neighbouring nodes, grey levels x px.
+    """Return the sum of excess brightness times length over lines between neighbouring nodes, grey px.
     The excess is the brightness on a line minus the mean brightness beside it."""
     place, filled = lattice.place, lattice.filled
     along = np.linspace(0.25, 0.75, 16)[None, :, None]
@@ -105,14 +105,14 @@ def _seeds(image: Image, candidates: Candidates) -> list[tuple[Array, Array, Arr
 
 
 def _above_ground(image: Image, scale: float) -> Image:
-    """Return the image, smoothed with a Gaussian of std `scale`, px, minus its local background."""
+    """Return the smoothed image (Gaussian of std `scale` / 2, at least 1 px) minus its local background."""
     smooth = cv2.GaussianBlur(image, (0, 0), max(1.0, 0.5 * scale))
     ground = cv2.blur(cv2.erode(smooth, np.ones((15, 15), np.uint8)), (31, 31))
     return np.asarray(smooth, np.float32) - np.asarray(ground, np.float32)
 
 
 def sample(image: Image, pixel: Array) -> Image:
-    """Interpolate the image at positions (..., 2), px; outside, the value of the nearest pixel is taken."""
+    """Interpolate the image at positions (..., 2), px; outside it, take the value of the nearest pixel."""
     flat = pixel.reshape(-1, 2).astype(np.float32)
     rows = 30000  # cv2.remap takes no more than 32767 rows
     parts = [
@@ -128,7 +128,7 @@ DISC_RADII = np.linspace(0.05, 0.38, 34)  # meshes: radii of the model discs
 
 
 def numbered_from_marks(image: Image, smooth: SmoothMap, node: Nodes) -> Nodes:
-    """Return the nodes (n, 2) renumbered: (0, 0) is at the larger disc and (1, 0) at the smaller one.
+    """Return the nodes (n, 2) renumbered: (0, 0) is at the larger disc and (1, 0) at the smaller disc.
     `smooth` maps the present indices `node` (n, 2) to pixels."""
     origin, step = _marks(image, smooth, node)
     rotation = np.array([[step[0], step[1]], [-step[1], step[0]]])
@@ -161,7 +161,7 @@ def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
 def _pairs_of_discs(
     places: Nodes, quality: Array, radius: Array, grey: Array, min_quality: float
 ) -> list[tuple[float, Nodes, Nodes]]:
-    """Return pairs (score, node under the larger disc, step to the node under the smaller one), best first.
+    """Return possible pairs of marks: score, node under the larger disc, step to the smaller; best first.
     `quality`, `radius` and `grey` (n,) belong to the discs fitted at the nodes `places` (n, 2)."""
     row = np.full((2 * REACH + 3, 2 * REACH + 3), -1)
     row[tuple((places + REACH + 1).T)] = np.arange(len(places))
@@ -180,9 +180,9 @@ def _pairs_of_discs(
 
 
 def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
-    """Return excess brightness (node, circle, direction) on circles around nodes, and the median over nodes.
-    The excess is relative to the median (circle, direction). `pixel` (n, 2) are the nodes' positions,
-    `slopes` (n, 2, 2) the steps in the image to the next nodes."""
+    """Return brightness on circles around nodes minus its median over nodes; also return this median.
+    The first is (node, circle, direction), the median (circle, direction). `pixel` (n, 2) are the positions
+    of the nodes, `slopes` (n, 2, 2) the steps in the image to the next nodes."""
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
     offset = CIRCLES[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -193,8 +193,8 @@ def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
 
 
 def _discs(excess: Array, usual: Array) -> tuple[Array, Array, Array]:
-    """Fit a uniform disc at each node; return quality, radius and grey value of each disc, all (n,).
-    The quality is the rms brightness explained by the disc over the rms of the rest; 0 for a faint disc.
+    """Fit a uniform disc at each node; return quality, radius and grey value of each disc, (n,) each.
+    The quality is the rms brightness that the disc explains over the rms that remains; 0 for a faint disc.
     Radii are in units of the distance between nodes. `excess` and `usual` are the results of `_circles`."""
     noise = np.median(np.abs(excess[:, -10:])) + 1e-3
     disc = np.clip((DISC_RADII[:, None] - CIRCLES) / 0.05 + 0.5, 0, 1)[..., None]
@@ -222,8 +222,8 @@ MAX_BLUR_CROSSINGS = 24  # used to find the blur, for speed
 
 
 def find_strings(image: Image, target: Target) -> TargetPoints:
-    """Find crossings of white strings, with indices counted from two discs.
-    A mirrored image is not noticed. Raises a CalibrationError if strings or discs are not found."""
+    """Find the crossings of white strings, with indices counted from two discs that mark the axes.
+    Mirrored images are not detected. Raises a CalibrationError if strings or discs are not found."""
     lattice, scale = best_lattice(image)
     node, pixel = lattice.node, lattice.pixel
     node = numbered_from_marks(image, SmoothMap(node, pixel), node)
@@ -235,7 +235,7 @@ def find_strings(image: Image, target: Target) -> TargetPoints:
 def _fitted(
     image: Image, node: Nodes, pixel: Array, scale: float
 ) -> tuple[Crossings, Nodes, tuple[str, ...]]:
-    """Fit crossings at nodes, add missed ones, reject implausible ones; return crossings, indices and notes.
+    """Fit crossings at nodes, add missed ones, reject bad ones; return crossings, indices and notes.
     `scale` is the standard deviation of the smoothing with which the nodes were found, px."""
     height, width = image.shape
     smooth = SmoothMap(node, pixel)
@@ -281,13 +281,13 @@ def _fitted(
 
 
 def _under_marks(node: Nodes) -> Mask:
-    """Return a mask (n,): true for the nodes (0, 0) and (1, 0), which the two discs cover."""
+    """Return a mask (n,), True for the nodes (0, 0) and (1, 0), which are covered by the two discs."""
     out: Mask = (node[:, 1] == 0) & ((node[:, 0] == 0) | (node[:, 0] == 1))
     return out
 
 
 def _missing(node: Nodes) -> Nodes:
-    """Return the nodes (m, 2) within two indices of the found nodes `node` (n, 2) that have not been found.
+    """Return nodes (m, 2) that have not been found, up to two indices from the found nodes `node` (n, 2).
     Nodes under a disc are left out."""
     places = around(node, WINDOW)
     present = set(map(tuple, node))
@@ -295,7 +295,7 @@ def _missing(node: Nodes) -> Nodes:
 
 
 def _plausible(fit: Crossings, expected: Array, slopes: Array) -> Mask:
-    """Return a mask (n,) of crossings near `expected` (n, 2), px, whose strings are nearly along `slopes`.
+    """Return a mask (n,), True for crossings near `expected` (n, 2), px, with strings along `slopes`.
     `slopes` (n, 2, 2) are the steps to the next nodes, px. At least three of the four arms must be bright."""
     length = np.hypot(slopes[..., 0], slopes[..., 1])
     turn = fit.angle - np.arctan2(slopes[..., 1], slopes[..., 0])
@@ -313,7 +313,7 @@ def _plausible(fit: Crossings, expected: Array, slopes: Array) -> Mask:
 
 
 def _like_neighbours(fit: Crossings) -> Mask:
-    """Return a mask (n,) of the crossings with strings about as wide and bright as at nearby crossings."""
+    """Return a mask (n,), True for crossings with strings about as wide and bright as those nearby."""
     _, near = cKDTree(fit.pixel).query(fit.pixel, min(13, len(fit.pixel)))
     width = fit.sigma / np.median(fit.sigma[near], axis=1)
     flux = fit.flux / np.median(fit.flux[near], axis=1)
@@ -325,7 +325,7 @@ def _like_neighbours(fit: Crossings) -> Mask:
 
 def _lens_blur(image: Image, fit: Crossings, slopes: Array, good: Mask) -> float:
     """Return the standard deviation, px, of the blur by lens and pixel that fits a few crossings best.
-    The crossings are a sample of those for which `good` (n,) is true."""
+    The crossings are a sample of those for which `good` (n,) is True."""
     chosen = np.flatnonzero(good)
     chosen = chosen[np.linspace(0, len(chosen) - 1, min(MAX_BLUR_CROSSINGS, len(chosen))).astype(int)]
     misfit = np.empty(len(BLURS))
@@ -342,7 +342,7 @@ def _lens_blur(image: Image, fit: Crossings, slopes: Array, good: Mask) -> float
 
 def _noise(fit: Crossings, good: Mask) -> tuple[float, float]:
     """Return the noise variance of a pixel at zero grey, and its increase per grey level.
-    Both are estimated from the residuals of the crossings for which `good` (n,) is true."""
+    They are estimated from the residuals of the crossings for which `good` (n,) is True."""
     ground, at_ground, string, at_string = np.median(fit.noise[good], axis=0)
     slope = max((at_string - at_ground) / max(string - ground, 1e-3), 0.0)
     return max(at_ground - slope * ground, 0.1 * at_ground, 1e-4), slope

@@ -15,7 +15,7 @@ from wavefield.errors import CalibrationError
 
 
 def _metres(value: object) -> object:
-    """Return the value if it is a plausible length in metres or None; raises a ValueError if it is not."""
+    """Return `value` if it is None or a plausible length in metres; else raise a ValueError."""
     try:
         sound = value is None or 5e-5 < float(value) < 2  # type: ignore[arg-type]
     except (TypeError, ValueError):

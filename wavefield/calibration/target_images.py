@@ -82,7 +82,7 @@ def find_target(image: NDArray[np.generic], target: Target) -> TargetPoints:
 
 
 def scaled(image: NDArray[np.generic]) -> Image:
-    """Convert an image to float32, and scale it so that its brightest patch has the value 255.
+    """Return an image as float32, scaled so that its brightest patch has the value 255.
     Raises a CalibrationError if the image is too small, uniform, or not grey, or if a value is not finite."""
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE:
@@ -123,14 +123,14 @@ def _frame_sizes(experiment: Experiment) -> dict[str, tuple[int, int]]:
 
 
 def placed_at(points: TargetPoints, height: float) -> TargetPoints:
-    """Return the points, marked as known positions in the rig's frame, of a target parallel to z = 0.
+    """Return the points of a target parallel to z = 0, marked as known positions in the rig's frame.
     `height` is the height of the target above z = 0, m."""
     own = np.zeros(len(points)) if points.z is None else points.z
     return replace(points, z=own + height, placed=True)
 
 
 def is_table(path: Path) -> bool:
-    """Return whether the file name's ending is one of a table of points, not of an image."""
+    """Tell whether the ending of the file name is one of a table of points, rather than of an image."""
     return path.suffix.lower() in TABLES
 
 

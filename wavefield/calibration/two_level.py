@@ -40,7 +40,7 @@ class PlateLevel:
         self.side = float(np.median(np.hypot(slopes[..., 0], slopes[..., 1])))
 
     def index_of(self, pixel: Array) -> Array:
-        """Return the indices (n, 2) of pixels (n, 2) in this level's grid; they are whole numbers at dots."""
+        """Return the indices (n, 2) of pixels (n, 2) in the grid of this level; whole numbers are dots."""
         inverse = np.linalg.inv(self.smooth.matrix)
         q = np.c_[pixel, np.ones(len(pixel))] @ inverse.T
         index: Array = q[:, :2] / q[:, 2:]
@@ -57,8 +57,8 @@ PlateAxes = tuple[Nodes, Nodes, Nodes]
 def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Array) -> PlateAxes | None:
     """Return the origin and unit steps x and y, (2,) each, of the axes that a triangle and a square mark.
     Units are the distance between rows of dots. The triangle is between dots of `level`, the square between
-    dots of `other`, and the origin is the dot next to both. `centre` (n, 2), px, are all bright shapes.
-    Returns None if the marks are not found."""
+    dots of `other`, and the origin is the dot next to the two marks. `centre` (n, 2), px, are all bright
+    shapes. Returns None if the marks are not found."""
     near = [cKDTree(one.pixel).query(centre)[0] < 0.1 * one.side for one in (level, other)]
     rest = centre[~near[0] & ~near[1]]
     if len(rest) < 2:
@@ -79,8 +79,8 @@ def marks_between(image: Image, level: PlateLevel, other: PlateLevel, centre: Ar
 
 
 def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
-    """Return the grid positions (2,) of those among the given pixels (n, 2) that are midway between two dots.
-    The positions are in units of the distance between rows of dots; the keys are indices into `pixel`."""
+    """Return the grid positions (2,) of pixels that lie midway between two dots; others are left out.
+    Positions are in units of the distance between rows of dots; keys are indices into `pixel` (n, 2)."""
     mesh = 2 * level.index_of(pixel) + level.shift
     site = np.rint(mesh).astype(np.int64)
     good = (np.abs(mesh - site) < MAX_MISFIT).all(1) & (site.sum(1) % 2 == 1)
@@ -88,20 +88,20 @@ def _sites_between(level: PlateLevel, pixel: Array) -> dict[int, Nodes]:
 
 
 def _right_handed(level: PlateLevel, index: Array, x: Nodes, y: Nodes) -> bool:
-    """Return whether the steps x and y (2,) from the dot `index` (2,) are right-handed seen from above."""
+    """Tell whether the steps x and y (2,) from the dot `index` (2,) are right-handed seen from above."""
     slopes = level.smooth.slopes(np.asarray(index, float)[None])[0]
     return cross(x @ slopes, y @ slopes) < 0  # image rows run downwards
 
 
 def _square_first(patch: Array) -> Nodes | None:
-    """Return the order (2,) of the two marks that puts the square first; None if they are too similar.
+    """Return the order (2,) of two marks that puts the square before the triangle, or None if unclear.
     `patch` (2, samples) holds the images of the two marks."""
     skewness = np.array([_skewness(one) for one in patch])
     return None if skewness.max() < 2.0 * skewness.min() else np.argsort(skewness)
 
 
 def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Array:
-    """Sample the image around n marks, as patches (n, samples) of brightness from 0 to 1.
+    """Return the images around n marks, as patches (n, samples) of brightness from 0 to 1.
     `pixel` (n, 2) are the positions of the marks, `index` (n, 2) the same positions as indices in `level`."""
     a = PATCH_REACH * np.linspace(-1, 1, PATCH_SAMPLES)
     offset = np.stack(np.meshgrid(a, a), -1).reshape(-1, 2)
@@ -117,7 +117,7 @@ def _patches(image: Image, level: PlateLevel, index: Array, pixel: Array) -> Arr
 
 
 def _skewness(patch: Array) -> float:
-    """Return the asymmetry of a patch (samples,): third moments over size cubed; large for triangles."""
+    """Return the asymmetry of a patch (samples,), large for triangles: norm of third moments over size^3."""
     light = np.where(patch > 0.3, patch, 0.0)
     a = np.linspace(-1, 1, PATCH_SAMPLES)
     x, y = (v.ravel() for v in np.meshgrid(a, a))
@@ -133,7 +133,7 @@ DECISIVE_FRACTION = 0.4  # of all dots; a level with more of them ends the searc
 
 
 def find_two_level(image: Image, target: Target) -> TargetPoints:
-    """Find the dots of a two-level target, which may be partly out of view; its two marks must be in view.
+    """Find the dots of a two-level target, which may be partly out of view if its two marks are in view.
     The parallax between the levels must be less than the distance between rows of dots."""
     best: tuple[int, Image, PlateLevel, PlateLevel, Array] | None = None
     for polarity in (image, 255.0 - image):
@@ -163,9 +163,9 @@ def find_two_level(image: Image, target: Target) -> TargetPoints:
 
 
 def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLevel | None:
-    """Return the largest grid of dots whose cells hold dots of another level; None if there is none.
-    `centre` (n, 2), px, and `area` (n,), px^2, are of the dots of both levels; `size` is the image's
-    (width, height), px."""
+    """Return the largest grid of dots whose cells hold dots of another level, or None.
+    `centre` (n, 2), px, and `area` (n,), px^2, describe the dots of the two levels; `size` is the (width,
+    height) of the image, px."""
     if len(centre) < 2 * LIMITS.min_nodes:
         return None
     tree = cKDTree(centre)
@@ -185,8 +185,8 @@ def _first_level(centre: Array, area: Array, size: tuple[int, ...]) -> PlateLeve
 
 
 def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel | None:
-    """Make a level from dots with indices `node` and positions `pixel` (n, 2), without outliers.
-    Returns None if too few dots are left. `shift` is as in `PlateLevel`."""
+    """Make a level from dots with indices `node` and positions `pixel`, (n, 2) each, without outliers.
+    Returns None if too few dots are left. `PlateLevel` describes `shift`."""
     try:
         level = PlateLevel(node, pixel, shift)
     except (CalibrationError, np.linalg.LinAlgError):
@@ -198,8 +198,8 @@ def _without_outliers(node: Nodes, pixel: Array, shift: int = 0) -> PlateLevel |
 
 
 def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array, Array]]:
-    """Return pairs of steps, px, from dot k to other dots that may be sides of a cell; smallest cells first.
-    Only pairs with dots at the end of each step, at its opposite, and at the sum of both are returned."""
+    """Return pairs of steps (2,), px, from dot k that may be sides of a cell; smallest cells first.
+    There must be dots at the end of each step, at the opposite of each, and at the sum of the two."""
     _, near = tree.query(centre[k], min(22, len(centre)))
     vectors = centre[near[1:]] - centre[k]
     ends = cKDTree(vectors)
@@ -219,7 +219,7 @@ def _repeated_vectors(centre: Array, tree: cKDTree, k: int) -> list[tuple[Array,
 
 
 def _middles_filled(level: PlateLevel, centre: Array) -> bool:
-    """Return whether most dots that do not belong to `level` are near the middles of its cells.
+    """Tell whether most dots that do not belong to `level` are near the middles of its cells.
     `centre` (n, 2), px, are all dots."""
     rest = _other_dots(level, centre)
     if len(rest) < LIMITS.min_nodes:
@@ -229,7 +229,7 @@ def _middles_filled(level: PlateLevel, centre: Array) -> bool:
 
 
 def _other_dots(level: PlateLevel, centre: Array) -> Array:
-    """Return the dots (m, 2) among `centre` (n, 2), px, in the area of `level` but not part of it."""
+    """Return the dots (m, 2) among `centre` (n, 2), px, in the area of `level` that do not belong to it."""
     distance, _ = cKDTree(level.pixel).query(centre)
     rest = centre[distance > 0.1 * level.side]
     if not len(rest):
@@ -240,9 +240,9 @@ def _other_dots(level: PlateLevel, centre: Array) -> Array:
 
 
 def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
-    """Return the level formed by the dots near the middles of the cells of `one`; None for too few dots.
-    `centre` (n, 2), px, are all dots. Parallax shifts the dots of this level from the middles, by an
-    amount that may change linearly over the image."""
+    """Return the level whose dots are near the middles of the cells of `one`; None for too few dots.
+    `centre` (n, 2), px, are all dots. Parallax shifts the dots of this level from the middles, by an amount
+    that may change linearly over the image."""
     rest = _other_dots(one, centre)
     if len(rest) < LIMITS.min_nodes:
         return None
@@ -267,7 +267,7 @@ def _second_level(one: PlateLevel, centre: Array) -> PlateLevel | None:
 def _numbered(
     image: Image, marked: PlateLevel, second: PlateLevel, axes: PlateAxes, target: Target
 ) -> TargetPoints:
-    """Return the target points of both levels, with indices that count from the origin of `axes`.
+    """Return the target points of the two levels, with indices that count from the origin of `axes`.
     `marked` is the level in whose units `axes` are given; it is at z = 0."""
     origin, x, y = axes
 
