@@ -5,7 +5,7 @@ A step is the interval between two frames; an instant is the time of one frame. 
 images        remove the background, compress, bin         `measure_instant`, images.py
 elevation     match the pairs, z of one instant            `surface`, elevation.py
 displacement  match each camera in time                    `flows`, displacement.py
-mid-time      z from six instants, in moving water         `z_at_mid_time`, midtime.py
+mid-time      z half-way, from six instants                `z_at_mid_time`, midtime.py
 paths         each camera's image velocity at the nodes    `displacements_at_nodes`, paths.py
 velocity      u, v, w by least squares over the cameras    `velocity`, velocity.py
 outliers      cameras that contradict the others           `outlier_camera`, velocity.py
@@ -77,8 +77,8 @@ def measure(
     frame_rate : float
         Frames per second, Hz.
     model : Model, optional
-        The learned record. By default it is learned from these frames, together with search ranges that the
-        settings do not give; other chunks of the record would then be weighted slightly differently.
+        Spectra and noise of the record. By default they are learned from these frames, as are search ranges
+        that the settings do not give; other chunks of the record are then weighted slightly differently.
     masks : mapping of str to sequence of n + 5 (ndarray of bool or None), optional
         True on pixels to ignore, for each camera and frame.
     departures : ndarray, (n + 5,), optional
@@ -99,10 +99,10 @@ def measure(
 
     Notes
     -----
-    With a given model, the values of a step do not depend on the chunk, to the bit. If neighbouring frames
-    are missing, ``quality`` has a bit for it. z_t is the rise of the surface along the path less u . grad z.
-    The kinematic residual z_t - w + u . grad z is therefore the difference between the rise from the surfaces
-    and that from the displacements, whatever the current.
+    With a given model, a step has exactly the same values in every chunk. If neighbouring frames are missing,
+    ``quality`` has a bit for it. z_t is the rate at which particles rise, from two surfaces, minus u . grad z.
+    The kinematic residual z_t - w + u . grad z is therefore the difference between this rate and w, which
+    comes from displacements, whatever the current.
     """
     lengths = {len(frames[n]) for n in geometry.cameras if n in frames}
     if len(lengths) != 1 or min(lengths) < 2 * AROUND + 2:
@@ -150,12 +150,12 @@ def measure(
 
 
 def _pair(frames: Series, k: int) -> tuple[dict[str, NDArray[Any] | None], dict[str, NDArray[Any] | None]]:
-    """Return frames k and k + 1 of every camera, as two dicts by camera."""
+    """Return a tuple of two dicts by camera: frame number k, and frame number k + 1."""
     return {n: f[k] for n, f in frames.items()}, {n: f[k + 1] for n, f in frames.items()}
 
 
 def _empty(steps: int, geometry: GridGeometry) -> dict[str, NDArray[Any]]:
-    """Return the fields of a cube for this number of steps, without values: NaN or 0, status failed."""
+    """Return the fields of a cube without values (NaN or 0) for a number of steps, with the status failed."""
     out: dict[str, NDArray[Any]] = {}
     for name in CUBE_FIELDS:
         dtype = np.dtype(TABLE[name].dtype)
@@ -173,8 +173,9 @@ def _fill_step(
     frame_rate: float,
     times: Float,
 ) -> None:
-    """Measure one step from six instants and the displacements between them; write its fields into `out`.
-    `times` (6,) are in frame intervals from mid-time. Nodes that are masked or not in view stay NaN."""
+    """Measure one step from six frames and the displacements between them; write its fields into `out`.
+    `times` (6,) of the frames are in frame intervals from mid-time. Masked nodes and nodes out of view stay
+    NaN."""
     _, before, first, second, after, _ = window
     missing = first.images.missing | second.images.missing
     out["quality"] |= _left_out_bits(missing, geometry)
@@ -212,7 +213,7 @@ def _fill_step(
 
 
 def _left_out_bits(cameras: Collection[str], geometry: GridGeometry) -> np.uint16:
-    """Return the bits of `Quality` for nodes that were measured without these cameras."""
+    """Return the bits of `Quality` that mark nodes as measured without `cameras`."""
     bits = Quality(0)
     for name in cameras:
         bits |= Quality.without(geometry.cameras.index(name))
@@ -220,7 +221,7 @@ def _left_out_bits(cameras: Collection[str], geometry: GridGeometry) -> np.uint1
 
 
 def _out_of_range(surfaces: Surfaces, geometry: GridGeometry) -> Mask:
-    """Return a mask (ny, nx), True for nodes at which a surface lies outside the search range of z."""
+    """Return a mask (ny, nx), True where z of at least one surface is outside the search range."""
     lowest, highest = geometry.z_range
     outside = [(one.z < lowest) | (one.z > highest) for one in surfaces if one is not None]
     return np.asarray(np.logical_or.reduce(outside))
@@ -246,7 +247,7 @@ def _fields(
     frame_rate: float,
     times: Float,
 ) -> dict[str, Float]:
-    """Return the fields of a step by name, (ny, nx), in the units of the cube, and `uncertainty_terms`.
+    """Return the fields of a step, (ny, nx), in the units of the cube, and `uncertainty_terms`, by name.
     The terms are standard deviations, (terms, 4, ny, nx), m, of z and of dx, dy, dz per step."""
     first, second = estimate.nearest
     motion, z, rise = estimate.motion, estimate.mid_time.z, estimate.mid_time.rise
@@ -273,7 +274,7 @@ def _fields(
 
 @dataclass(frozen=True)
 class Instant:
-    """The surface at one instant, with the images from which it was measured."""
+    """The surface in one frame of all cameras, with the images from which it was measured."""
 
     surface: Surface | None  # elevation at the nodes; None if it could not be measured
     images: Images  # from which z is measured again if a camera must be left out
@@ -281,7 +282,7 @@ class Instant:
     _without: dict[str, Surface | None] = field(default_factory=dict)
 
     def without(self, camera: str, geometry: GridGeometry, model: Model) -> Surface | None:
-        """Return the surface measured without `camera`, None if that fails; cached for later calls."""
+        """Return the surface measured without `camera`, or None if that fails; results are cached."""
         if camera not in self._without:
             self._without[camera] = surface(self.images.rectified(camera), geometry, model.elevation)
         return self._without[camera]
@@ -290,7 +291,7 @@ class Instant:
 def measure_instant(
     frames: Frames, geometry: GridGeometry, model: Model, masks: Masks | None = None
 ) -> Instant:
-    """Measure the elevation at one instant from raw frames, and prepare its images for matching in time."""
+    """Measure the elevation in one frame from raw images by camera; prepare these for matching in time."""
     images = images_of(frames, geometry, dict(model.record.beads), masks)
     # the rectified images are freed before those for matching in time are made: each set takes 20 MB
     found = surface(images.rectified(), geometry, model.elevation)
@@ -304,8 +305,8 @@ def estimate_step(
     model: Model,
     times: Float,
 ) -> StepEstimate | None:
-    """Estimate elevation and motion of a step, without a camera that contradicts the others.
-    `window` are the six instants around mid-time, `moves` the displacements between them. None on failure."""
+    """Estimate elevation and motion of a step; a camera that contradicts the others is left out.
+    `window` holds the six frames around mid-time, `moves` the displacements between them. None on failure."""
     surfaces: Surfaces = [instant.surface for instant in window]
     estimate = _estimate(surfaces, moves, geometry, model.record.path_frames, times)
     if estimate is None:
@@ -331,8 +332,8 @@ def _estimate(
     may_leave_out: bool = True,
 ) -> StepEstimate | None:
     """Estimate elevation and motion at mid-time; None if fewer than two cameras have displacements.
-    With rolling shutters, elevation and motion are computed again, because the correction of each depends on
-    the other."""
+    With rolling shutters, elevation and motion correct each other, and are therefore computed twice.
+    `may_leave_out` permits leaving out a camera that contradicts the others."""
     first, second = surfaces[AROUND : AROUND + 2]
     assert first is not None
     assert second is not None

@@ -30,7 +30,7 @@ njit = compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 
 @njit
 def _row(jacobian: Float, i: int, k: int) -> tuple[Any, Any, Any]:
-    """Return row i of a Jacobian (2N, 3, n) at node k, in double precision."""
+    """Return the three elements of row i of a Jacobian (2N, 3, n) at node k, in double precision."""
     return np.float64(jacobian[i, 0, k]), np.float64(jacobian[i, 1, k]), np.float64(jacobian[i, 2, k])
 
 
@@ -70,11 +70,11 @@ def solve_nodes(
 ) -> None:
     """Solve for the motion of the water at n nodes, seen by N cameras, and write it to out (16, n).
 
-    Rows in threes: displacement d at mid-time; displacement over the step (chord); mean of its end points
-    minus the position at mid-time (bend); variance of d due to noise. Then one row each: variance of
-    suppressed waves over `parts` (3,), relative variances of u, v, w; misfit |J d - moved| / sqrt(2N), px;
-    chi^2 per degree of freedom; the factor (at least 1) by which chi^2 enlarges the noise variance.
-    `jacobian` is (2N, 3, n), `axes` (N, 3), the other fields (2N, n), as in `CameraDisplacements`.
+    Rows 0-2: displacement d at mid-time, per step. Rows 3-5: displacement from frame to frame. Rows 6-8: mean
+    position in both frames minus that at mid-time. Rows 9-11: variance of d due to noise. Row 12: variance of
+    suppressed waves over `parts` (3,), the relative variances of u, v, w. Row 13: misfit |J d - moved| /
+    sqrt(2N), px. Row 14: chi^2 per degree of freedom. Row 15: factor (at least 1) on the noise variance due
+    to chi^2. `jacobian` is (2N, 3, n), `axes` (N, 3), other fields (2N, n), as in `CameraDisplacements`.
     """
     rows, n = moved.shape
     weight = np.empty(rows)
@@ -168,11 +168,11 @@ def velocity(
 ) -> Motion | None:
     """Compute the motion of the water at the nodes at mid-time, by least squares over the cameras.
 
-    The motion d minimises sum w |J d - dX|^2: w are the weights, J the 2N x 3 Jacobian of N cameras on the
-    surface z (ny, nx), metres, and dX the image velocity per step (`read_path`). `steps` are displacements by
-    camera in one, three or five successive steps; d belongs to the middle one. Noise of the cameras is
-    independent; waves that the prior suppresses are the same in all. With `may_leave_out`, a camera that
-    contradicts the others is left out. None if fewer than two cameras have displacements in the middle step.
+    The motion d minimises sum w |J d - dX|^2, with weights w, the 2N x 3 Jacobian J of N cameras on the
+    surface z (ny, nx), metres, and the image velocity per step dX (`read_path`). `steps` are displacements by
+    camera in one, three or five successive steps; d belongs to the middle one. Noise differs between the
+    cameras; waves that the prior suppresses do not. With `may_leave_out`, a camera that contradicts the
+    others is left out. None if fewer than two cameras have displacements in the middle step.
     """
     names = _cameras(steps)
     if len(names) < 2:
@@ -202,8 +202,8 @@ def velocity(
 def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int], float]) -> int | None:
     """Return the index of the only camera without which the others agree; None if there is not exactly one.
 
-    `misfit` is the median chi^2 per degree of freedom with all cameras, `misfit_without(n)` that without
-    camera n. Of three cameras in a line, one that has moved along this line is not found: any two agree.
+    `misfit` is the median chi^2 per degree of freedom with all cameras, `misfit_without(n)` without camera n.
+    Of three cameras in a line, one that has moved along this line is not found: any two agree.
     """
     if n_cameras < 3 or not misfit > MAX_MISFIT:
         return None
@@ -213,7 +213,7 @@ def outlier_camera(n_cameras: int, misfit: float, misfit_without: Callable[[int]
 
 
 def median_misfit(misfit: Float, measured: Mask) -> float:
-    """Return the median of the misfit (ny, nx) over `measured` nodes; 0 if these are fewer than MIN_NODES."""
+    """Return the median of the misfit (ny, nx) over `measured` nodes; 0 if there are fewer than MIN_NODES."""
     good = measured & np.isfinite(misfit)
     return float(np.median(misfit[good])) if good.sum() >= MIN_NODES else 0.0
 
@@ -225,8 +225,8 @@ def mean_flow(
     path_frames: int,
     times: Float,
 ) -> tuple[float, float] | None:
-    """Return the median, over some of the nodes, of the displacement (dx, dy) of the water per step, metres.
-    It is 0 if no node was measured, and None if fewer than two cameras have displacements."""
+    """Return the median displacement (dx, dy) of the water per step, metres, over a part of the nodes.
+    It is (0, 0) if no node was measured, and None if fewer than two cameras have displacements."""
     names = _cameras(steps)
     if len(names) < 2:
         return None
@@ -273,6 +273,7 @@ def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
 
 
 def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:
-    """Return the variance, px^2, in each image, (N, ny, nx), of a motion with variances `parts` (3,), m^2."""
+    """Return the variance in each image, (N, ny, nx), px^2, averaged over X and Y, of a motion of the water.
+    The components of the motion have the variances `parts` (3,), m^2."""
     square = np.einsum("kiyx,i->kyx", np.square(displacements.jacobian), parts)
     return np.asarray(0.5 * (square[::2] + square[1::2]))
