@@ -100,7 +100,7 @@ def measure(
     Notes
     -----
     With a given model, a step has exactly the same values in every chunk. If neighbouring frames are missing,
-    ``quality`` has a bit for it. z_t is the rate at which particles rise, from two surfaces, minus u . grad z.
+    ``quality`` has a bit for it. z_t is the rate at which particles rise (from two surfaces) less u . grad z.
     The kinematic residual z_t - w + u . grad z is therefore the difference between this rate and w, which
     comes from displacements, whatever the current.
     """
