@@ -76,7 +76,7 @@ class CurrentUsed:
 
 
 def current_used(dispersion: xr.Dataset, given: tuple[float, float] | None) -> CurrentUsed:
-    """Return the current fitted in `dispersion`, m/s. If the fit failed, return `given`, or zero if None."""
+    """Return the current fitted in `dispersion`, m/s. If that fit failed, return `given`, or else zero."""
     if "current_x" in dispersion:
         velocity, std = ([float(dispersion[f"current_{a}{end}"]) for a in "xy"] for end in ("", "_std"))
         return CurrentUsed((velocity[0], velocity[1]), (std[0], std[1]), FITTED)

@@ -73,7 +73,7 @@ def expected_segment_correlation(power: Array, count: int) -> Array:
         return np.asarray(ndimage.convolve1d(spectrum, response, axis=1, mode="constant"))
 
     def spread(ratio: Array) -> Array:
-        """Return `ratio` (n, lines) convolved with the Hann response, at the finer frequencies."""
+        """Return `ratio` (n, lines), convolved with the Hann response, at twice as many frequencies."""
         between_lines = np.zeros((len(ratio), fine.size))
         between_lines[:, ::between] = ratio
         return windowed(between_lines)

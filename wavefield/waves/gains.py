@@ -25,7 +25,7 @@ MIN_SIGNAL_TO_NOISE = 3.0  # of a cell, ring or band: a noise wrong by a tenth c
 
 def path_factor(omega: Any, dt: float, frames: int) -> Any:
     """Return the amplitude gain of velocities with code `frames` (see `frames_of`) over that for two frames.
-    For paths it is w_0 + 2 w_1 cos(omega dt) + 2 w_2 cos(2 omega dt), with weights w of `PATH_WEIGHTS`."""
+    For paths, it is w_0 + 2 w_1 cos(omega dt) + 2 w_2 cos(2 omega dt), with weights w of `PATH_WEIGHTS`."""
     if frames == INSTANTANEOUS:
         with np.errstate(divide="ignore"):
             return 1 / np.sinc(np.asarray(omega) * dt / (2 * np.pi))

@@ -69,7 +69,7 @@ def is_cube(given: object) -> bool:
 
 
 def water_parameters(given: Any) -> dict[str, float]:
-    """Return "depth" (m) and "gamma" (m3/s2) of a cube, field or spectrum, if stored, as a dictionary."""
+    """Return "depth" (m) and "gamma" (surface tension over density, m3/s2) of `given`; {} if not stored."""
     stated = {name: given.coords[name].item() for name in WATER if name in given.coords}
     stated |= stated_water(given.attrs)
     if not stated:

@@ -133,7 +133,7 @@ def _rebin(counts: Array, scale: tuple[float, float], moments: Mapping[str, floa
 
 
 def label(sums: Mapping[str, Array], scales: Scales, dt: float) -> xr.Dataset:
-    """Return the Dataset of `statistics` from `sums_of`, without spectral peak and uncertainties."""
+    """Return the Dataset of `statistics` from `sums` (see `sums_of`), without peak and uncertainties."""
     fields = {name: field for name, field in QUANTITIES.items() if f"powers {field}" in sums}
     rows: dict[str, list[Any]] = defaultdict(list)
     for name, field in fields.items():

@@ -25,7 +25,7 @@ ROUNDS = 3  # alternations between the prior spectrum and the filled values; a f
 
 
 def fill(block: Array, missing: NDArray[np.bool_]) -> Array:
-    """Return a block (steps, ny, nx) with NaN, and all values at steps of the mask `missing`, filled."""
+    """Return a block (steps, ny, nx) with filled gaps: NaN, and all values at steps of the mask `missing`."""
     if not missing.any() and all_finite(block):
         return block
     hole = ~np.isfinite(block) | missing[:, None, None]

@@ -79,11 +79,11 @@ class PlaneWaves:
         return self._sums(self.response, unknowns)
 
     def slopes(self, unknowns: Array, time: int) -> Array:
-        """Return the slopes z_x, z_y, (2, ny, nx), for given unknowns (2 n,) at the index `time`."""
+        """Return the slopes z_x, z_y, (2, ny, nx), for given unknowns (2 n,) at time index `time`."""
         return self._sums(self._slope_response(time)[:, None], unknowns)[:, 0]
 
     def _slope_response(self, time: int) -> NDArray[np.complex128]:
-        """Return derivatives of z_x and z_y with respect to each unknown, (2, n), at the index `time`."""
+        """Return derivatives of z_x and z_y with respect to each unknown, (2, n), at time index `time`."""
         k = np.stack([np.append(self.kx, 0.0), np.append(self.ky, 0.0)])
         return np.asarray(1j * k[:, self.vector] * self.response[0, time])
 

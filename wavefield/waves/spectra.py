@@ -157,7 +157,7 @@ def komega(field: xr.DataArray, *, segment: int | None = None, record: Record | 
         Over (omega, k): ``E``, in the field's units squared per rad/m and rad/s; its degrees of freedom
         ``dof``; ``low`` and ``high``, factors from E to the limits of its 95 % interval; ``valid``, a mask of
         reliable values. ``dof_omega`` and ``dof_k``, degrees of freedom of E(omega) and E(k). Over k:
-        ``coverage``, the sampled fraction of a ring of |k|, and ``cells``, the independent cells in it.
+        ``coverage``, the sampled fraction of a ring of |k|; ``cells``, its independent wave vectors.
 
     Raises
     ------

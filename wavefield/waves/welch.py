@@ -144,7 +144,7 @@ class Reader:
 
     def __call__(self, a: int, b: int, run: tuple[int, int]) -> list[np.ndarray]:
         """Return steps a to b - 1 of the cube: one block (b - a, ny, nx) per field, with gaps filled.
-        `run` (first, last + 1) is the run that contains them; only its steps are used to fill gaps."""
+        `run` (first, last + 1) is the unbroken range of steps around these; it alone is used to fill gaps."""
         (steps, *nodes), missing, inner = _span(self.record, a, b, run)
         gaps = self.record.holes or self.record.bridged
         steps = slice(steps.start - self.first, steps.stop - self.first)
@@ -415,8 +415,7 @@ class Welch:
 
     @property
     def ring_variables(self) -> Mapping[str, tuple[str, Array]]:
-        """Over k: ``coverage``, the fraction of a ring inside the k plane, and ``cells``, independent
-        cells."""
+        """Over k: ``coverage``, fraction of a ring in the k plane; ``cells``, independent wave vectors."""
         return {"coverage": ("k", self.table.coverage), "cells": ("k", self.table.cells)}
 
     @property
@@ -456,7 +455,7 @@ def with_stated(given: Any) -> Any:
 
 def frames_of(fields: xr.DataArray | xr.Dataset) -> int:
     """Return the code `path_frames`: 1 for instantaneous velocities, 2 (default) for displacements between
-    two frames, 4, 6 or 7 for paths of 4 or 6 frames. CubeError if ``velocity`` attributes disagree."""
+    two frames, 4 for paths of 4 frames, 6 or 7 for 6 frames. CubeError if ``velocity`` attributes differ."""
     fields = with_stated(fields)
     if "path_frames" in fields.coords:
         return int(fields["path_frames"])
