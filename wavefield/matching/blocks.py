@@ -35,7 +35,7 @@ def gaussian(sigma: float) -> np.ndarray:
 
 
 def window_weights(window: float) -> np.ndarray:
-    """Return the weights, along one axis of the lattice, of the Gaussian window of matching.
+    """Return the weights, along one axis of the lattice, of the Gaussian window that averages block sums.
     The window has the same area as a square of `window` x `window` px."""
     return gaussian(float(window / np.sqrt(4 * np.pi) / BLOCK))
 
@@ -50,7 +50,8 @@ def smoothed(
     field: np.ndarray, sigma: float, order: int, weighting: tuple[np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:
     """Return a field f (ny, nx) smoothed by 1 - (1 - G)^order, with G a Gaussian of `sigma` blocks.
-    G is the weighted mean G(w f) / G(w) with `weighting` from `smoother_weights`; 0 blocks: not smoothed."""
+    With `weighting` from `smoother_weights`, G is the weighted mean G(w f) / G(w). With sigma 0, f is
+    returned."""
     if sigma == 0:
         return field
     g, part, rest = gaussian(sigma), np.empty_like(field), field.copy()
@@ -70,7 +71,7 @@ def smoother_weights(weight: np.ndarray, sigma: float) -> tuple[np.ndarray, np.n
 
 
 def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.ndarray:
-    """Return du/dx, du/dy, dv/dx, dv/dy per px, (4, ny, nx), by differences of sixth order.
+    """Return du/dx, du/dy, dv/dx, dv/dy, px per px, (4, ny, nx), by differences of sixth order.
     u, v (ny, nx), px, are averages around each block over an area with the variance `averaged_variance`,
     px^2; the slopes are corrected for this averaging."""
     side = 0.5 * averaged_variance / BLOCK**2
@@ -92,7 +93,8 @@ def slopes(u: np.ndarray, v: np.ndarray, averaged_variance: float = 0.0) -> np.n
 @njit
 def subtract_slopes(sums: np.ndarray, moments: np.ndarray, slope: np.ndarray) -> None:
     """Subtract the effect of displacement gradients inside blocks from scores `sums` (2, ny, nx), in place.
-    `slope` (4, ny, nx) are the gradients (see `slopes`), `moments` (9, ny, nx) from `gradient_moments`."""
+    A score is a sum of gradient times residual. `slope` (4, ny, nx) are the displacement gradients (see
+    `slopes`), `moments` (9, ny, nx) come from `gradient_moments`."""
     _, ny, nx = sums.shape
     for j in range(ny):
         sx, sy = sums[0, j], sums[1, j]
@@ -257,10 +259,10 @@ def noise_of_scores(
     """Return the noise nu of the scores of blocks, (ny, nx): the variance of a score over its Hessian.
 
     `score` (c, ny, nx) are sums of gradient times residual, `trace` (ny, nx) the trace of the Hessian,
-    `counts` (ny, nx) 1 for usable blocks, else 0. nu is the squared score of clusters of 5 x 5 blocks over
-    the trace of these clusters, each smoothed over 6 blocks, divided by `freedom`, the fraction of the
-    variance that a fit leaves. Where the trace is small, nu approaches the mean ratio of the image, or the
-    median if `with_mismatches`, because mismatched blocks raise the mean.
+    `counts` (ny, nx) 1 for usable blocks, else 0. Scores and traces are summed over 5 x 5 blocks. nu is the
+    squared score over the trace, each smoothed by a Gaussian of 6 blocks, divided by `freedom`, the fraction
+    of the variance of scores that a fit leaves. Where the trace is small, nu approaches its mean over the
+    image, or its median if `with_mismatches`, because mismatched blocks raise the mean.
     """
     complete = (_clusters(counts) > CLUSTER**2 - 0.5).astype(np.float32)
     square = np.zeros_like(trace)
@@ -283,7 +285,8 @@ def noise_of_scores(
 
 def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
     """Return a weight of each block, (ny, nx): 1, or less where its score far exceeds the noise around it.
-    Low weights occur at edges of objects and where beads enter or leave. Arguments: see `noise_of_scores`."""
+    A score (gradient times residual) is too large at edges of objects and where beads enter or leave.
+    `noise_of_scores` describes the arguments."""
     square = np.sum([np.square(_clusters(part * counts)) for part in score], axis=0)
     information = _clusters(trace * counts)
     least = F(HOLE_INFORMATION) * information.mean()
@@ -301,8 +304,8 @@ def trust_in_scores(score: Float, trace: Float, counts: Float) -> Float:
 
 def hole_mask(information: Float, typical_information: float) -> Mask:
     """Return a mask (ny, nx), True in holes, where the blocks measure the field poorly or not at all.
-    In a hole, the mean of the inverse variances `information` (ny, nx) over 7 x 7 blocks is at most 0.15
-    times `typical_information`."""
+    In a hole, the mean of `information` (ny, nx), the inverse variance of blocks, over 7 x 7 blocks is at
+    most 0.15 times `typical_information`."""
     return np.asarray(
         cv2.blur(np.asarray(information, np.float32), (7, 7)) <= HOLE_INFORMATION * typical_information
     )

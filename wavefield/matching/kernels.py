@@ -84,7 +84,7 @@ def _spline_columns(image: Array, y: int, s: Array, d: Array) -> None:
 
 @njit
 def _value(s: Array, x: int) -> np.float32:
-    """Return the value at pixel x of the spline through a row s that starts two pixels left of the image."""
+    """Return the value at pixel x of the spline along a row s that starts two pixels left of the image."""
     out: np.float32 = (
         F(66 / 120) * s[x + 2] + F(26 / 120) * (s[x + 1] + s[x + 3]) + F(1 / 120) * (s[x] + s[x + 4])
     )
@@ -93,7 +93,7 @@ def _value(s: Array, x: int) -> np.float32:
 
 @njit
 def _slope(s: Array, x: int) -> np.float32:
-    """Return the derivative along x at pixel x of the spline through a row `s` (see `_value`)."""
+    """Return the x derivative at pixel x of the spline along a row `s` (see `_value`)."""
     out: np.float32 = F(10 / 24) * (s[x + 3] - s[x + 1]) + F(1 / 24) * (s[x + 4] - s[x])
     return out
 
@@ -171,7 +171,7 @@ def _spline_bends(image: Array, y: int, s: Array, d: Array, e: Array) -> None:
 
 @inlined
 def _bend(s: Array, x: int) -> np.float32:
-    """Return the second derivative along x at pixel x of the spline through a row `s` (see `_value`)."""
+    """Return the second x derivative at pixel x of the spline along a row `s` (see `_value`)."""
     out: np.float32 = F(2 / 6) * (s[x + 1] + s[x + 3]) + F(1 / 6) * (s[x] + s[x + 4]) - s[x + 2]
     return out
 
@@ -196,8 +196,9 @@ def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None
 
 @njit
 def strain_moments(image: Array, work: WorkSpace, out: Array) -> None:
-    """Write eight sums over each block to out (8, ny, nx), for `subtract_strain`; `image` a has its border.
-    They are of gx a, gy a, gx a_xx, gx a_xy, gx a_yy, gy a_xx, gy a_xy, gy a_yy, with g = grad a."""
+    """Write eight sums over each block of an image a (with border) to out (8, ny, nx).
+    They are of gx a, gy a, gx a_xx, gx a_xy, gx a_yy, gy a_xx, gy a_xy, gy a_yy; gx, gy, a_xx, ... are
+    derivatives."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -223,7 +224,7 @@ def _block_reader(
     along_x: types.Type,
     along_y: types.Type,
 ) -> tuple[Signature, Callable[..., ir.Value]]:
-    """Generate the LLVM code of `_read_block`, which samples one block of `image` between its pixels.
+    """Generate the LLVM code of `_read_block`, which samples a block of `image` at fractions of pixels.
     It reads rows of `stride` elements from element `start` on, with TAPS weights `along_x` and `along_y`. It
     writes BLOCK rows of LANES pixels to `strip`, from element `to` on, `width` elements apart."""
 
@@ -487,7 +488,7 @@ def _uphill(above: Array, row: Array, below: Array, first: np.int32, width: np.i
 @njit
 def bead_blocks(image: Array, out: Array) -> None:
     """Write to out (h, w), for each pixel, the block that contains the brightest point of its bead.
-    Blocks are numbered row by row. `image` has a border of PAD px, darker than the image where they meet."""
+    Blocks are numbered row by row. `image` has a border of PAD px; its innermost pixels are the darkest."""
     h, w = out.shape
     for y in range(h):
         r = y + PAD
@@ -579,7 +580,7 @@ def bead_scores(
 @njit
 def shift_sums(a: Array, b: Array, margin: int, first: int, dy: int, row: Array, out: Array) -> None:
     """Write sums over each block of image a times a shifted image b to out (ny, shifts, nx + 2 border).
-    b is shifted by dy rows, and by `first`, `first` + 1, ... columns. b has a border of `margin` px, a has
+    b is shifted by dy rows, and by `first`, `first` + 1, ... columns. b has `margin` px of border, a has
     none; `row` is scratch. The border of `out` repeats the values of the outermost blocks."""
     ny, n, width = out.shape
     nx = len(row) // BLOCK

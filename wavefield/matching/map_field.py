@@ -98,13 +98,14 @@ class Cosines:
         return out
 
     def split_parities(self, waves: Float) -> Float:
-        """Sort coefficients (c, my, mx) into even and odd modes along y and x: (2, my / 2, 2, c, mx / 2)."""
+        """Return coefficients (c, my, mx), sorted into even and odd modes, as (2, my / 2, 2, c, mx / 2).
+        Axes 0 and 2 are the parities (even, odd) along y and x."""
         c, (my, mx) = len(waves), self.shape
         parts = waves.reshape(c, my // 2, 2, mx // 2, 2).transpose(2, 1, 4, 0, 3)
         return np.ascontiguousarray(parts, F)
 
     def merge_parities(self, by_parity: Float) -> Float:
-        """Undo `split_parities`: return the coefficients (c, my, mx)."""
+        """Return the coefficients (c, my, mx) from the result `by_parity` of `split_parities`."""
         c = by_parity.shape[3]
         return np.ascontiguousarray(by_parity.transpose(3, 1, 0, 4, 2)).reshape(c, *self.shape)
 
@@ -129,7 +130,7 @@ class Cosines:
         return out
 
     def quarters_of(self, by_parity: Float) -> Float:
-        """Return the even and odd parts of a field (`quarters`) from its coefficients (`split_parities`)."""
+        """Return the parts of a field (see `quarters`) from its coefficients (see `split_parities`)."""
         _, my, _, c, mx = by_parity.shape
         hy, hx = self._half
         # transform along x first: there are fewer modes along y than blocks, so that the product is smaller
@@ -142,7 +143,7 @@ class Cosines:
         return out.reshape(2, hy, 2, c, hx)
 
     def coefficients_of(self, quarters: Float) -> Float:
-        """Return the coefficients of a field (`split_parities`) from its even and odd parts (`quarters`)."""
+        """Return the coefficients of a field (see `split_parities`) from its parts (see `quarters`)."""
         _, hy, _, c, hx = quarters.shape
         my, mx = self.shape[0] // 2, self.shape[1] // 2
         part = np.matmul(self._rows, quarters.reshape(2, hy, 2 * c * hx)).reshape(2 * my, 2, c, hx)
@@ -176,7 +177,7 @@ def _fold(field: Float, out: Float) -> None:
 
 @reassociating
 def _unfold(quarters: Float, out: Float) -> None:
-    """Write the field with these even and odd parts (`Cosines.quarters`) to out (c, ny, nx)."""
+    """Write the field with the even and odd parts `quarters` (see `Cosines.quarters`) to out (c, ny, nx)."""
     _, hy, _, c, hx = quarters.shape
     _, ny, nx = out.shape
     for n in range(c):
@@ -295,7 +296,7 @@ class Modes(Cosines):
         )
 
     def block_mean(self, waves: Float) -> Float:
-        """Return the averages over the blocks, (c, ny, nx), of a field with coefficients (c, my, mx)."""
+        """Return a field with coefficients (c, my, mx), averaged over the area of each block, (c, ny, nx)."""
         return self.field(self.foot * waves)
 
     def split(self, field: Float) -> tuple[Float, Float]:
@@ -393,8 +394,9 @@ def _update_direction(ratio: F, step: Float, direction: Float) -> None:
 
 
 def _freedom(gain: Float) -> float:
-    """Return the fraction, at least 0.2, of the variance of scores (gradient times residual) left by a fit.
-    Scores are summed over 5 x 5 blocks; `gain` (ny, nx) is the gain of the MAP field in each cosine mode."""
+    """Return the fraction of the variance of scores that remains after a fit of the field, at least 0.2.
+    Scores (gradient times residual) are summed over 5 x 5 blocks; `gain` (ny, nx) is that of the fit per
+    mode."""
     rows, columns = (_box(n) for n in gain.shape)
     power = np.square(rows[:, None] * columns)
     return float(max((power * (1.0 - gain)).sum() / power.sum(), 0.2))
@@ -412,7 +414,7 @@ def _box(n: int) -> NDArray[np.float64]:
 
 
 def edge_field(field: Float) -> Float:
-    """Return a smooth field with the same slopes at the four edges as `field`; both are (c, ny, nx).
+    """Return a smooth field (c, ny, nx) whose slopes at the four edges are those of `field` (c, ny, nx).
     It decays exponentially inwards. `field` must have no holes."""
     field = np.asarray(field, np.float32)
     out = _with_slopes_along_x(field)

@@ -1,4 +1,4 @@
-"""Posterior variance of the MAP field at each block, from the inverse variances of the blocks around it."""
+"""Posterior variance of the MAP field (most probable field) at each block, from the information around it."""
 
 from __future__ import annotations
 

@@ -30,8 +30,8 @@ def widened(ends: tuple[float, float]) -> tuple[float, float]:
 def shifts(a: Float, b: Float, reach: tuple[int, int] = (REACH_PX, REACH_PX)) -> NDArray[np.float64]:
     """Find the displacements of large patches from image a to image b, up to `reach` (x, y), px.
 
-    Returns (n, 4), one row for each patch with contrast: displacement x and y (multiples of 2 px; NaN if not
-    found), and the x and y of the patch's centre, all in px. The result is empty for images below 256 px.
+    Returns (n, 4), one row for each patch with contrast, px: displacement x and y (multiples of 2; NaN if not
+    found), and the x and y of the centre of the patch. The result is empty for images below 256 px.
     """
     a, b = (np.asarray(image, np.float32) for image in (a, b))
     height, width = a.shape
@@ -73,8 +73,8 @@ def _found(a: Float, b: Float, at: tuple[int, int], reach: tuple[int, int]) -> t
 
 def locate(patch: Float, around: Float) -> tuple[float, float, float]:
     """Return the column and row where a patch fits best into the image `around`, and the correlation there.
-    Column and row, with fractions, are of the patch's first pixel. They are NaN if the largest correlation
-    lies at the border."""
+    The position, with fractions, is that of the patch's first pixel; NaN if it is at the border of the range.
+    """
     correlations = _correlations(patch, around)
     _, best, _, (column, row) = cv2.minMaxLoc(correlations)
     if not (0 < row < correlations.shape[0] - 1 and 0 < column < correlations.shape[1] - 1):

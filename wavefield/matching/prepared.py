@@ -114,7 +114,7 @@ class PreparedImage:
 
 @dataclass(frozen=True)
 class Mask:
-    """Usable pixels of an image, prepared for matching; images with the same mask can share one instance."""
+    """Mask of usable pixels, prepared for matching; images with the same mask can share one instance."""
 
     good: np.ndarray  # (h, w): 1 where a pixel is usable
     levels: tuple[np.ndarray, ...]  # (h, w): `Level.good` of each pyramid level, finest first
@@ -194,8 +194,8 @@ def prepare(
 
 
 def level_count(shape: tuple[int, ...], levels: int) -> int:
-    """Return the number of pyramid levels, at most `levels`, for an image with the shape (h, w).
-    The side of the coarsest level is at least 40 px, unless the image itself is smaller."""
+    """Return the number of pyramid levels, at most `levels`, for an image of `shape` (h, w).
+    The coarsest level is at least 40 px wide and high, or the image has only one level."""
     side = min(shape)
     while levels > 1 and side >> (levels - 1) < MIN_LEVEL_SIDE:
         levels -= 1

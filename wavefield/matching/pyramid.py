@@ -225,7 +225,7 @@ def _plain_steps(pair: _LevelPair, u: np.ndarray, v: np.ndarray, count: int) -> 
 def reevaluate(
     a: PreparedImage, b: PreparedImage, u: np.ndarray, v: np.ndarray, settings: MatchSettings
 ) -> Displacement:
-    """Return scores, Hessians and validity of the blocks at a given displacement u, v (ny, nx), px.
+    """Return a match that evaluates the blocks at a given displacement u, v (ny, nx), px, without a step.
 
     A displacement with gradients e_jk = du_j/dx_k strains the sampled images of beads, while real beads keep
     their shape. The residual a - b of beads then contains e_jj a + s^2 e_jk a_jk, with second derivatives
@@ -355,7 +355,7 @@ def _reasons(
     energy: np.ndarray,
 ) -> np.ndarray:
     """Return why blocks are not valid at the displacement u, v (ny, nx), px: bits of `Reason`, (ny, nx).
-    `correlation` and `energy` (of gradients) come from `_correlation`; `outlier` is as in `_assess`."""
+    `correlation` and `energy` (gradient energy) come from `_correlation`; `_assess` describes `outlier`."""
     settings, shape = pair.settings, pair.b.shape
     inside, weight = np.empty((2, *u.shape), np.float32)
     block_weights(NO_MASK, NO_MASK, u, v, *shape, inside)

@@ -1,4 +1,4 @@
-"""Settings and result of `match`."""
+"""Settings of `match` and the displacement that it returns."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class MatchSettings:
 
 
 class Reason(IntFlag):
-    """Reasons why a block is not valid, as bits that are added in `Displacement.reason`."""
+    """Reasons why a block is not valid; `Displacement.reason` has one bit for each."""
 
     VALID = 0
     MASKED = 1  # masked, saturated or NaN pixels in the block in a, or at its position in b

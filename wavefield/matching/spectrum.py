@@ -97,7 +97,7 @@ class Prior:
         return footprint(kx, ky, self.area)
 
     def with_min_signal_to_noise(self, ratio: float) -> Prior:
-        """Return the prior with a signal-to-noise ratio of at least `ratio` up to 2 rad per block.
+        """Return the prior with a signal-to-noise ratio of at least `ratio` below 2 rad per block.
         A spectrum that is learned with too small a prior comes out too small as well."""
         k = np.array(self.k)
         least = ratio / (self.footprint(k, np.zeros(1)) ** 2 * self.information)
@@ -139,8 +139,7 @@ class Prior:
 
     def variances(self, shape: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the variance of a MAP field from waves and its variance from noise, (component,) each.
-        They are means of G^2 S and G^2 / (F^2 A), with the gain G, over modes of a lattice (ny, nx) with k >
-        0."""
+        They are means of G^2 S and G^2 / (F^2 A), with the gain G, over all modes (`shape`) but the first."""
         kx, ky = wavenumbers(shape)
         squared_gain = np.square(self.gain(kx, ky))
         squared_gain[:, 0, 0] = 0.0
@@ -211,7 +210,7 @@ class WavenumberRings:
         return np.asarray((np.arange(RINGS) < last) | beyond_gap)
 
     def level(self, ratio: Float) -> NDArray[np.float64]:
-        """Return the `ratio` (rings,) of power to noise, averaged over five neighbouring rings.
+        """Return the `ratio` (rings,) of power to noise, averaged over five neighbouring rings (bins of |k|).
         The first four rings are ignored, because they contain calibration errors."""
         count = np.where((np.arange(RINGS) < FIRST_NOISE_RING), 0, self.count)
         weight = np.convolve(count, np.ones(NOISE_RINGS), mode="same")
@@ -383,9 +382,9 @@ def _shapes(estimate: Float, weight: NDArray[Any], lasts: Sequence[int]) -> NDAr
 def shrinkage(variance: float, noise: float, waves: float) -> float:
     """Return the fraction of a learned spectrum that is waves, 0 to 1; the remainder is long-wave noise.
 
-    `variance` is the measured variance of the MAP fields; the prior predicts its two parts, `noise` from
-    noise and `waves` from waves. The fraction is 1 if variance - noise is at least half of `waves` or three
-    times `noise`; below the smaller of these limits it is proportional to variance - noise.
+    `variance` is that of the MAP fields. The prior predicts the variance `noise` from noise and `waves` from
+    waves. The fraction is 1 if variance - noise is at least half of `waves` or three times `noise`; below the
+    smaller of these limits it is proportional to variance - noise.
 
     >>> shrinkage(4.0, 1.0, 3.0), round(shrinkage(1.0, 1.0, 3.0), 3)
     (1.0, 0.0)
