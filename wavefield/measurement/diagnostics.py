@@ -148,8 +148,8 @@ def _learned(
 
 
 def _difference_of(one: PairMatch, other: PairMatch) -> PairMatch:
-    """Return the match from camera a to camera b, as match c-b (`one`) minus match c-a (`other`).
-    Camera c belongs to each pair; displacements and parallaxes are subtracted."""
+    """Return the match from camera a to camera b, from the matches c to b (`one`) and c to a (`other`).
+    Displacements and parallaxes of `other` are subtracted from those of `one`."""
     d, parallax = one.difference - other.difference, one.parallax - other.parallax
     eps_y = (parallax[1] * d[0] - parallax[0] * d[1]) / np.hypot(*parallax)
     rejected, matched = one.rejected | other.rejected, one.matched & other.matched

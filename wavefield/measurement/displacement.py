@@ -87,8 +87,7 @@ def map_displacement(
     with_harmonics: bool = False,
 ) -> FlowEstimate:
     """Estimate the most probable (MAP) displacement from image `one` to image `other`, starting from `match`.
-    `with_harmonics` adds the correction `harmonics`; fields are too noisy for it while spectra are
-    learned."""
+    With `with_harmonics`, add the correction `harmonics`; fields are too noisy for it in learning spectra."""
     found = match
     u = filled(match)
     edges, waves = modes.split(u)

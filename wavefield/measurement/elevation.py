@@ -243,7 +243,7 @@ def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
 
 def _smooth_across(matches: Sequence[PairMatch], modes: Modes) -> tuple[Float, float]:
     """Return a tuple: the smooth part of the epipolar error, (ny, nx), as metres of z, and its rms, metres.
-    The rms is without noise; the prior damps it as it would damp an error of z."""
+    The rms excludes noise, and is reduced by the gain of the prior, like an equal error of z."""
     waves = modes.waves(combine([m.turned for m in matches]).filled)
     smooth = np.zeros_like(waves)
     smooth[:, :_SMOOTH_MODES, :_SMOOTH_MODES] = waves[:, :_SMOOTH_MODES, :_SMOOTH_MODES]
@@ -287,8 +287,7 @@ class _PairScores:
 
     def across(self, smooth: Float) -> tuple[Float, Float]:
         """Return a tuple: scores and Hessians, each (ny, nx), of displacements across the sight lines.
-        They are in metres of z, although z does not cause such displacements. `smooth` (ny, nx), m, is
-        subtracted."""
+        Elevation does not cause these displacements. The part `smooth` (ny, nx), m of z, is subtracted."""
         D = quarter_turn(self.D)
         hessian = _through(D, self._hessian)
         return self._score(D, hessian, self.match.turned.height - smooth), hessian
@@ -318,9 +317,9 @@ def inconsistent_pairs(matches: Sequence[PairMatch], pixel: float) -> Mask:
 
 
 def inconsistent_scores(scores: Sequence[Float], hessians: Sequence[Float], lengths: Sequence[Float]) -> Mask:
-    """Return a mask (ny, nx), True where one pair and the next one would correct their common z differently.
+    """Return a mask (ny, nx), True where successive pairs demand different corrections of the elevation.
     This finds shifts of one pixel. `scores` (gradient times residual) and `hessians` are with respect to z;
-    `lengths` (ny, nx) are those of the parallaxes, px/m."""
+    `lengths` (ny, nx) of the parallaxes are in px/m. Each sequence is by pair."""
     means = [
         (cv2.blur(s, _SCORE_MEAN_BLOCKS), cv2.blur(h, _SCORE_MEAN_BLOCKS))
         for s, h in zip(scores, hessians, strict=True)
@@ -431,7 +430,7 @@ def _sheet(shape: tuple[int, int], thickness: float) -> Surface:
 
 
 def match_pairs(prepared: PreparedImages, geometry: GridGeometry) -> MatchedPairs | None:
-    """Match the images of all pairs in one frame; return the combined blocks and the matches of the pairs.
+    """Return a tuple for one frame: blocks combined from all pairs of cameras, and the match of each pair.
     None if too few blocks match, even without the reference camera, whose image may be blank."""
     present = tuple(prepared)
     while pairs := geometry.pairs_for(present):
@@ -464,10 +463,10 @@ def matched_pixels(
     geometry: GridGeometry,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Match points of still water in all cameras, to level a rig; return (column, row), (n, 2), by camera.
-    Row n of each array is the same point, NaN if not matched in this camera. `read(camera, frame)` gives an
-    image or None; `progress(done, total)` is called after each frame. CalibrationError if no frame is usable
-    in all cameras."""
+    """Match points of still water in all cameras, to level a rig; return pixel positions (n, 2) by camera.
+    Columns are x, y in the image. Row n is the same point in all cameras, NaN where not matched.
+    `read(camera, frame)` gives an image or None; `progress(done, total)` is called after each frame.
+    CalibrationError if no frame is usable in all cameras."""
     rig = geometry.rig
     cells = np.s_[::CLUSTER, ::CLUSTER]  # closer blocks share beads
     x, y = (v[cells] for v in np.meshgrid(geometry.lattice.x, geometry.lattice.y))

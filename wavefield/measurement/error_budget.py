@@ -96,15 +96,15 @@ def noise(estimate: StepEstimate) -> Float:
 
 
 def removed_by_prior(estimate: StepEstimate) -> Float:
-    """Return the variance of the waves that the prior removes, alike in all cameras, (4, ny, nx), m^2."""
+    """Return the variance of z, dx, dy, dz, (4, ny, nx), m^2, in waves that the prior suppresses."""
     z = np.mean([one.missing for one in estimate.nearest], axis=0)
     return np.concatenate([z[None], estimate.motion.missing])
 
 
 def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int, times: Float) -> Float:
-    """Return the variance of waves that interpolation between frames does not follow, (4, ny, nx), m^2.
-    That of z is `lost_by_elevation` plus `changed_waves`. That of dx, dy, dz is `lost_by_paths` plus
-    `changed_waves`, times WAVE_VARIANCES. `path_frames` is the kind of path polynomial (`path_weights`);
+    """Return the variance of z, dx, dy, dz, (4, ny, nx), m^2, in waves lost by interpolation between frames.
+    For z it is `lost_by_elevation` + `changed_waves`; for dx, dy, dz it is (`lost_by_paths` +
+    `changed_waves`) times WAVE_VARIANCES. `path_frames` is the kind of path polynomial (`path_weights`);
     `times` (6,) are in frame intervals from mid-time."""
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     for count in np.unique(estimate.mid_time.frames).tolist():
@@ -119,7 +119,7 @@ def removed_by_frames(estimate: StepEstimate, waves: WaveRings, path_frames: int
 
 def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> float:
     """Return the variance of z, m^2, due to waves that start or stop within the six frames.
-    Such waves change z from six frames relative to z from four frames. Without them, the variance of this
+    Such waves make z from six frames differ from z from four frames. Without them, the variance of this
     difference would be noise sum (w6 - w4)^2 + sum S |K6 - K4|^2, with the weights w of the frames, the gains
     K and the variances S of the waves."""
     six, four = (frame_weights(times, FRAMES_OF_Z[n])[0] for n in (6, 4))
@@ -201,8 +201,8 @@ def best_path_frames(waves: WaveRings, noise_variance: float) -> int:
 
 def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
     """Return the variances (4,) of z, dx, dy, dz, m^2, due to waves shorter than blocks.
-    `learned`: standard deviation of their rise (change of z per step) and wavelength, m. With the phase p per
-    frame (at most pi/2), z varies by a^2, the rise by 2 a^2 (1 - cos p), and dz by (a p)^2."""
+    `learned`: standard deviation of the change of z per step, and wavelength, m. With the variance a^2 of z
+    and phase p per frame (at most pi/2), the change has 2 a^2 (1 - cos p), dz (w times interval) (a p)^2."""
     rise, wavelength = learned
     if not rise:
         return np.zeros(4, np.float32)
@@ -212,7 +212,7 @@ def ripples(learned: tuple[float, float], frame_rate: float) -> Float:
 
 
 def stated_by_setup(estimate: StepEstimate, geometry: GridGeometry) -> Float:
-    """Return the variance due to calibration, light sheet and tilt of beads, (4, ny, nx), m^2.
+    """Return the variance of z, dx, dy, dz, (4, ny, nx), m^2, due to calibration, light sheet and bead tilt.
     The error of z from the calibration is assumed to equal the smooth part of the epipolar error."""
     out = np.zeros((4, *estimate.mid_time.z.shape), np.float32)
     out[0] = np.mean([one.epipolar**2 for one in estimate.nearest])
@@ -251,7 +251,7 @@ def level_std(geometry: GridGeometry, record: LearnedRecord | None) -> float:
 
 
 def shared_motion(found: Mapping[str, FlowEstimate], z: Float, geometry: GridGeometry) -> tuple[float, float]:
-    """Return two estimates of the variance of ripples' dz per frame, m^2: from two cameras, and from one.
+    """Return a tuple of two estimates of the variance of ripples' dz (displacement per frame), m^2.
 
     Ripples whose dz has the variance c displace blocks of cameras a and b with the covariance J_a diag(1/2,
     1/2, 1) J_b^T c; J are the Jacobians on the surface z (ny, nx), metres. The first estimate fits c to the

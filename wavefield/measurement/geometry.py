@@ -1,7 +1,7 @@
 """`GridGeometry`: everything that follows from rig, grid and settings alone, computed once for all frames.
 
-For each camera, `Sight` gives the image position of the nodes at any elevation. `RectifiedView` has the maps
-that rectify its images to the plane z = 0, where the reference camera sees points (apparent positions).
+For each camera, `Sight` gives the image position of the nodes at any elevation. `RectifiedView` holds the
+pixel maps that rectify its images to the plane z = 0.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ _ORDER = 4
 
 class Sight:
     """Image positions and Jacobians of the nodes x, y (ny, nx) in one camera, as polynomials in z.
-    The attributes `camera` and `lattice` describe the binned image, and `binning` is the side of a binned
-    pixel in raw pixels."""
+    `camera` and `lattice` are for the binned image; `binning` is the side of a binned pixel in raw pixels."""
 
     def __init__(
         self, camera: Camera, binning: int, x: Float, y: Float, z_range: tuple[float, float]
@@ -61,8 +60,8 @@ class Sight:
 
     def at(self, z: Float, every: int = 1) -> NDArray[np.float32]:
         """Return an array (8, ny, nx): positions X, Y (px of the binned image) and Jacobians by rows (px/m).
-        The nodes are at z, metres. If `every` is n > 1, z and the results are for every n-th node along x and
-        y."""
+        The nodes are at z, metres. If `every` is n > 1, z and the results are for every n-th node each
+        way."""
         return self._evaluate(z, self._polynomial[..., ::every, ::every])
 
     def position(self, z: Float) -> NDArray[np.float32]:
@@ -105,9 +104,9 @@ def fit_plane(
     cameras: Sequence[Camera], x: Float, y: Float, z_range: tuple[float, float], pixel: float
 ) -> tuple[tuple[float, float], tuple[int, int]]:
     """Choose the rectangle of the plane z = 0 to which images are rectified; cameras[0] is the reference.
-    Returns a tuple: position (x, y) of its first pixel, metres, and number of its blocks (ny, nx). Sight
-    lines to all nodes x, y (ny, nx) that two cameras see meet it, at any z in `z_range`. `pixel` is the side
-    of a pixel, m."""
+    Returns a tuple: position (x, y) of its first pixel, metres, and number of its blocks (ny, nx). It
+    contains all points where sight lines to the nodes x, y (ny, nx) meet z = 0, for nodes that two cameras
+    see and any z in `z_range`. `pixel` is the side of a pixel, m."""
     if min(x.shape) < _MIN_NODES:
         raise RigError(
             f"the grid has {x.shape[1]} x {x.shape[0]} nodes, and slopes need {_MIN_NODES} along each side: "
@@ -143,8 +142,7 @@ def fit_plane(
 
 def _reach(camera: Camera, edge: Float) -> Float:
     """Return points (n, 2), metres, around the part of the plane z = 0 that a camera sees.
-    If the camera sees the horizon, these include the visible ones of the points `edge` (m, 2), metres, on the
-    edge of the grid."""
+    If it sees the horizon, visible points of `edge` (m, 2), metres, the edge of the grid, are included."""
     view = view_on_water(camera)
     if np.isfinite(camera.corners()).all():
         return view
@@ -284,7 +282,7 @@ class GridGeometry:
 
     @property
     def reference(self) -> str:
-        """Name of the camera that all pairs contain; blocks of z lie where it sees them on z = 0."""
+        """Name of the reference camera, which belongs to every pair that measures z."""
         return self.pairs[0][0]
 
     @property

@@ -234,7 +234,7 @@ Frames = Mapping[str, NDArray[Any] | None]
 
 @dataclass(frozen=True)
 class Images:
-    """Usable images of one frame number, by camera, prepared by `ready`; and their masks, by camera."""
+    """Usable images at one time, by camera, prepared by `ready`, and the masks of the cameras."""
 
     ready: Mapping[str, NDArray[Any]]
     covered: Mapping[str, Covered]
@@ -277,7 +277,7 @@ class Images:
 def images_of(
     frames: Frames, geometry: GridGeometry, beads: Mapping[str, float], masks: Masks | None = None
 ) -> Images:
-    """Prepare the usable images of one frame number, and their masks.
+    """Prepare the usable images at one time, and the masks of the cameras.
     `beads` are bead widths, raw px, and `masks` (h, w) are True on pixels to ignore, by camera."""
     masks = masks or {}
     found: dict[str, NDArray[Any]] = {}

@@ -170,7 +170,7 @@ def lateness(z: Float, geometry: GridGeometry) -> dict[str, Float]:
 
 
 def common_lateness(z: Float, geometry: GridGeometry) -> Float | None:
-    """Return the delays from `lateness`, averaged over the cameras, (ny, nx); None for global shutters."""
+    """Return the delays from `lateness`, averaged over cameras, (ny, nx); None for global shutters."""
     if not geometry.settings.row_delays:
         return None
     return np.asarray(np.mean(list(lateness(z, geometry).values()), axis=0))

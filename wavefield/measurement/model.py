@@ -76,7 +76,7 @@ class LearnedRecord:
 
 class FieldModel:
     """Estimator of a field on a lattice of `shape` (ny, nx), with the learned spectrum `prior`.
-    Holes outside the mask `inner` (ny, nx) do not tighten the solver's tolerance; None: all holes do. With
+    If `inner` (ny, nx) is given, only holes (unmatched blocks) inside it tighten the solver's tolerance. With
     `whole_beads`, each bead counts in one block only (`scores_at`). Tables are computed at first use."""
 
     def __init__(
@@ -115,8 +115,7 @@ class FieldModel:
 
 def elevation_model(geometry: GridGeometry, prior: Prior, beads: Mapping[str, float]) -> FieldModel:
     """Make the estimator of z, metres, on the blocks of the rectified images.
-    `beads` are bead widths by camera. If all cameras see beads (none is 0, a texture), each bead counts in
-    one block only."""
+    `beads` are bead widths by camera; unless one is 0 (a texture), each bead counts in one block only."""
     return FieldModel(prior, geometry.lattice.shape, _inner_blocks(geometry), all(beads.values()))
 
 
@@ -182,7 +181,7 @@ class Convergence:
 
     @property
     def converged(self) -> bool:
-        """Whether no further evaluation of the images is needed."""
+        """True if the images need not be evaluated again."""
         return self._diverged or (self._evaluations >= MIN_EVALUATIONS and self._change <= self._allowed)
 
     def next(

@@ -43,7 +43,7 @@ _NOISE_CORRELATION = -0.2
 
 
 def elevation_gain(phase: Float, frames: int) -> Float:
-    """Return the gain of z interpolated from 2, 4 or 6 frames, for waves of `phase` change, rad per frame."""
+    """Return the gain of z interpolated from 2, 4 or 6 frames; `phase` is that of a wave, rad per frame."""
     weights = {2: (1.0,), 4: (9 / 8, -1 / 8), 6: (150 / 128, -25 / 128, 3 / 128)}[frames]
     return np.asarray(sum(w * np.cos((n + 0.5) * phase) for n, w in enumerate(weights)))
 
@@ -59,9 +59,9 @@ def path_gain(phase: Float, frames: int) -> Float:
 def frame_weights(
     times: Float, frames: Sequence[int], smooth: bool = False, at: Float | float = 0.0
 ) -> tuple[Float, Float]:
-    """Return a tuple of weights (6, ...) of six frames: for a value at the time `at`, and for its time slope.
-    They follow from a polynomial through the frames numbered `frames` (0 to 5). If `smooth`, the slope is
-    from one of degree four near all frames, with less noise. `times` (6,) and `at` are in frame intervals."""
+    """Return a tuple of weights (6, ...) of six frames: for a value at the time `at`, and for its derivative.
+    They follow from a polynomial through the frames numbered `frames` (0 to 5). If `smooth`, the derivative
+    is from a fit of degree four to all six, with less noise. `times` (6,) and `at` are in frame intervals."""
     used = list(frames)
     powers = np.vander(times[used], increasing=True).T
     shape, count = np.shape(at), len(used)
@@ -78,8 +78,8 @@ def frame_weights(
 
 
 def noise_of_displacements(weights: Float) -> Float:
-    """Return the factors (n, ...) of n noise variances of displacements in the variance of a weighted sum.
-    `weights` (n, ...) are those of the sum; the noise of successive displacements is correlated."""
+    """Return factors (n, ...) that turn n noise variances into parts of the variance of a weighted sum.
+    The sum of n successive displacements has the `weights` (n, ...); their noise is correlated."""
     padded = np.pad(weights, [(1, 1), *[(0, 0)] * (weights.ndim - 1)])
     return np.asarray(weights * (weights + _NOISE_CORRELATION * (padded[:-2] + padded[2:])))
 
@@ -352,7 +352,7 @@ def displacements_at_nodes(
     every: int = 1,
 ) -> CameraDisplacements:
     """Read the displacements in the images of cameras `names`, for particles at the nodes at mid-time.
-    z (ny, nx) is the nodes' elevation, m; only every `every`-th node along x and y is used. `steps` are the
+    z (ny, nx) is the nodes' elevation, m; only every `every`-th node each way is used. `steps` are
     displacements by camera in 1, 3 or 5 successive steps; `times` (6,) of the frames are in frame
     intervals."""
     z = z[::every, ::every]
@@ -391,7 +391,7 @@ def displacements_at_nodes(
 def _along_path(
     path: Sequence[CameraFlow | None], sight: Sight, X: Float, Y: Float, weights: Float
 ) -> tuple[Float, NDArray[np.int64], Float, Float]:
-    """Return a tuple for one camera: both results of `read_path` at pixels X, Y, and two variances, px^2.
+    """Return a tuple for one camera: motion and blocks from `read_path` at X, Y, px, and two variances, px^2.
     The variances are due to noise, and due to waves that the prior suppresses. In `path`, the displacements
     in successive steps, missing steps are None."""
     here = path[len(path) // 2]

@@ -205,8 +205,7 @@ class _SampleStep:
         masks: tuple[Masks, Masks],
     ) -> _SampleStep:
         """Prepare the images of both frames of a step, and match them between cameras and in time.
-        `frames` and `masks` (True on pixels to ignore) are by camera, and so are `beads`, bead widths, raw
-        px."""
+        `frames`, `masks` (True on pixels to ignore) and `beads` (bead widths, raw px) are by camera."""
         one, two = (images_of(part, geometry, beads, mask) for part, mask in zip(frames, masks))
         flat, (first, second) = (one.rectified(), two.rectified()), (one.in_time(), two.in_time())
         found = {

@@ -108,7 +108,7 @@ def bin_pixels(image: NDArray[Any], count: int) -> NDArray[Any]:
 
 @lru_cache(maxsize=8)
 def _weights(count: int) -> NDArray[np.float32]:
-    """Return the weights (3 count,) along one axis: a Gaussian of count / 2 px, averaged over count px."""
+    """Return the weights (3 count,) along one axis: a Gaussian of sigma count / 2, averaged over count px."""
     x = np.arange(-count, count + 1)
     out = np.convolve(np.exp(-2.0 * np.square(x / count)), np.ones(count))
     return np.asarray(out / out.sum(), np.float32)
@@ -177,7 +177,7 @@ def _doubled(image: NDArray[Any], rows: Sequence[tuple[int, int]]) -> Iterator[N
 
 
 def sight_map(camera: Camera, x: NDArray[Any], y: NDArray[Any]) -> tuple[Float, Float, NDArray[np.bool_]]:
-    """Return arrays (ny, nx): X, Y, where a camera sees the points x (nx,), y (ny,), m, on z = 0, and a mask.
+    """Return a tuple (X, Y, mask), each (ny, nx): where a camera sees points x (nx,), y (ny,), m, on z = 0.
     X and Y are in half pixels. The mask is True at least three pixels (the reach of the spline) inside the
     image; elsewhere X is negative."""
     X, Y = camera.project(x[None, :], y[:, None], 0.0)

@@ -83,7 +83,7 @@ def interpolation_gain(q: Float) -> Float:
 
 
 def local_coefficients(fields: Float) -> Float:
-    """Return the cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), accurate to a fraction of 1e-3.
+    """Return the cubic-spline coefficients (ny, nx, F) of fields (F, ny, nx), accurate to 1e-3.
     They come from a filter of 15 blocks."""
     pole = np.sqrt(3.0) - 2.0
     kernel = np.sqrt(3.0) * pole ** np.abs(np.arange(-7.0, 8.0))
@@ -204,8 +204,8 @@ def read_surface(
     spline: Float, lattice: BlockLattice, centre: NDArray[Any], x: NDArray[Any], y: NDArray[Any]
 ) -> Float:
     """Return the elevation (ny, nx), m, at points x, y on the water, from a `spline` in apparent positions.
-    An apparent position is where the sight line from the camera at c = `centre` through a point meets z = 0.
-    The spline z_a is read at x_a = c + (x - c) / (1 - z / c_z), so that z = z_a(x_a) is solved."""
+    The apparent position of a point is where the sight line from the camera at c = `centre` meets z = 0. For
+    the spline z_a, the equation z = z_a(x_a) with x_a = c + (x - c) / (1 - z / c_z) is solved for z."""
     out = np.empty(x.shape, np.float32)
     place = lattice.x0, lattice.y0, 1.0 / lattice.step
     camera = float(centre[0]), float(centre[1]), float(centre[2])
@@ -217,9 +217,9 @@ def read_surface(
 def blocks_below(
     lattice: BlockLattice, centre: NDArray[Any], x: Float, y: Float, z: Float
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return a tuple: the flat index of the block in which a camera sees each point, and a mask (ny, nx).
-    Points x, y, z (ny, nx) and the camera's `centre` are in metres. The mask is True for points on the
-    lattice. The outermost blocks are replaced by their inner neighbours."""
+    """Return a tuple: flat index of the block in which a camera sees each point; mask, True on the lattice.
+    Points x, y, z (ny, nx) and the camera's `centre` are in metres. The outermost blocks are replaced by
+    their inner neighbours."""
     shrink = 1.0 / (1.0 - z / centre[2])
     row, column = (
         (c + (at - c) * shrink - first) / lattice.step

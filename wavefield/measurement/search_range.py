@@ -108,8 +108,8 @@ class FirstHeights:
 
 def first_heights(read: Read, geometry: GridGeometry, frames: Sequence[int]) -> FirstHeights:
     """Find the range of elevations in some frames, by a search for large patches in rectified images.
-    A patch is searched for in the image of another camera; z follows from the displacement. Only elevations
-    close to that of another patch count. `read(camera, frame)` gives an image or None."""
+    A patch is searched for in another camera's image; z follows from its displacement. An elevation counts if
+    another patch has a similar one. `read(camera, frame)` gives an image or None."""
     kept: list[NDArray[np.float64]] = [np.zeros(0)]
     tried = 0
     agreement = max(0.25 * (geometry.z_range[1] - geometry.z_range[0]), 12 * geometry.pixel)
@@ -160,7 +160,7 @@ def _heights(
 
 
 def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, FirstHeights]:
-    """Return a tuple: settings and `found`; if `found` fills over 0.6 of z_range, z_range is made wider."""
+    """Return a tuple: settings and `found`, both with a wider range of z if heights fill over 0.6 of it."""
     low, high = found.searched
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if not found.found or all(abs(z - middle) < MAX_FILLED_RANGE * half for z in found.z):
@@ -172,7 +172,7 @@ def high_enough(settings: Settings, found: FirstHeights) -> tuple[Settings, Firs
 
 def search_widened(pairs: Iterable[tuple[Images, Images]], geometry: GridGeometry) -> GridGeometry:
     """Return the geometry with search ranges that suit some frames; the same object if they suffice.
-    `pairs` are the first and second images, by camera, of sample steps; only SEARCHED_STEPS are searched.
+    `pairs` are the first and second images, by camera, of sample steps; the first SEARCHED_STEPS are used.
     Ranges that the user has set do not change."""
     steps = list(islice(pairs, SEARCHED_STEPS))
 
@@ -195,7 +195,7 @@ def search_widened(pairs: Iterable[tuple[Images, Images]], geometry: GridGeometr
 
 def at_border(z: NDArray[Any], searched: tuple[float, float]) -> bool:
     """Return whether over 1 % of the elevations z lie outside the search range or within 3 % of its ends.
-    `searched` is the search range, in the unit of z; the 3 % are of its width."""
+    `searched` is the search range (lowest, highest), in the unit of z; the 3 % are of its width."""
     known = z[np.isfinite(z)]
     if not known.size:
         return False

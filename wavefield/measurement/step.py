@@ -155,7 +155,7 @@ def _pair(frames: Series, k: int) -> tuple[dict[str, NDArray[Any] | None], dict[
 
 
 def _empty(steps: int, geometry: GridGeometry) -> dict[str, NDArray[Any]]:
-    """Return the fields of a cube without values (NaN or 0) for a number of steps, with the status failed."""
+    """Return the fields of a cube for `steps` steps, without values (NaN or 0), with the status failed."""
     out: dict[str, NDArray[Any]] = {}
     for name in CUBE_FIELDS:
         dtype = np.dtype(TABLE[name].dtype)
@@ -174,8 +174,7 @@ def _fill_step(
     times: Float,
 ) -> None:
     """Measure one step from six frames and the displacements between them; write its fields into `out`.
-    `times` (6,) of the frames are in frame intervals from mid-time. Masked nodes and nodes out of view stay
-    NaN."""
+    `times` (6,) are in frame intervals from mid-time. Masked nodes and nodes out of view stay NaN."""
     _, before, first, second, after, _ = window
     missing = first.images.missing | second.images.missing
     out["quality"] |= _left_out_bits(missing, geometry)
@@ -247,7 +246,7 @@ def _fields(
     frame_rate: float,
     times: Float,
 ) -> dict[str, Float]:
-    """Return the fields of a step, (ny, nx), in the units of the cube, and `uncertainty_terms`, by name.
+    """Return a dict: the fields of a step, (ny, nx), in the units of the cube, and `uncertainty_terms`.
     The terms are standard deviations, (terms, 4, ny, nx), m, of z and of dx, dy, dz per step."""
     first, second = estimate.nearest
     motion, z, rise = estimate.motion, estimate.mid_time.z, estimate.mid_time.rise
@@ -291,7 +290,7 @@ class Instant:
 def measure_instant(
     frames: Frames, geometry: GridGeometry, model: Model, masks: Masks | None = None
 ) -> Instant:
-    """Measure the elevation in one frame from raw images by camera; prepare these for matching in time."""
+    """Measure the elevation at one time from images by camera, and prepare these for matching in time."""
     images = images_of(frames, geometry, dict(model.record.beads), masks)
     # the rectified images are freed before those for matching in time are made: each set takes 20 MB
     found = surface(images.rectified(), geometry, model.elevation)

@@ -170,8 +170,8 @@ def velocity(
 
     The motion d minimises sum w |J d - dX|^2, with weights w, the 2N x 3 Jacobian J of N cameras on the
     surface z (ny, nx), metres, and the image velocity per step dX (`read_path`). `steps` are displacements by
-    camera in one, three or five successive steps; d belongs to the middle one. Noise differs between the
-    cameras; waves that the prior suppresses do not. With `may_leave_out`, a camera that contradicts the
+    camera in one, three or five successive steps; d belongs to the middle one. Noise is independent between
+    cameras; suppression by the prior is common to all. With `may_leave_out`, a camera that contradicts the
     others is left out. None if fewer than two cameras have displacements in the middle step.
     """
     names = _cameras(steps)
