@@ -71,7 +71,7 @@ class Settings:
     eps_limit : float
         Matches with an epipolar error above this many times its rms are rejected.
     row_delays : tuple of (str, float)
-        Camera and ``row_time`` in frame intervals, for rolling shutters; `run` fills it in.
+        Camera with a rolling shutter, and its delay per row in frame intervals; `run` fills it in.
     stereo : matching.MatchSettings
         Matching between cameras; its search range is set from z_range.
     piv : matching.MatchSettings
