@@ -104,7 +104,8 @@ def with_mean_current(cube: xr.Dataset, welch: Welch) -> Welch:
 
 def _corrected(ring: xr.Dataset, gain: xr.Dataset) -> xr.Dataset:
     """Return `ring`, from `cross_spectra`, with E corrected for the gain of the measurement. A mask
-    ``valid_k`` (quantity, k) is added: true where the gain is known and above 0.5, false for rise and nl."""
+    ``valid_k`` (quantity, k) is added: false for rise, for nl, and where the gain of the field is below
+    0.5."""
     names = ring["quantity"].values
     factor, valid = np.ones((names.size, ring.sizes["k"])), np.zeros((names.size, ring.sizes["k"]), bool)
     for i, name in enumerate(names):

@@ -91,8 +91,8 @@ def is_predicted(gain: xr.Dataset) -> bool:
 
 
 def correction(gain: xr.Dataset, name: str, k: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the factor (k,) that corrects the power of field `name` for its gain, and a mask (k,).
-    Where the amplitude gain is below 0.5, the factor is 1 and the mask is false."""
+    """Return the factor (k,) that corrects the power of field `name` for its gain, and a mask (k,). Where the
+    amplitude gain is below 0.5, the factor is 1 and the mask false; without a gain, 1 and true."""
     if f"gain_{name}" not in gain:
         return np.ones_like(k), np.ones(k.shape, bool)
     power = ring_gain(gain, name, name, k)
