@@ -151,7 +151,7 @@ MIN_STD = 1e-4  # px: no image gives a smaller uncertainty
 
 
 def usable_views(views: Views, findings: Findings) -> UsableViews:
-    """Return the views with enough nodes and the usual image size of their camera, by camera and pose.
+    """Return the usable views, by camera and pose: enough nodes, and the most frequent image size.
     Rejected views, and cameras without a usable view, are recorded in `findings`."""
     usable: UsableViews = {}
     for name, by_pose in views.items():
@@ -210,7 +210,7 @@ def calibrate_each(
     flat: str,
     findings: Findings,
 ) -> dict[str, SingleCamera]:
-    """Calibrate each camera from its own views; return the cameras for which this succeeds, by name.
+    """Calibrate each camera from the views of this camera alone; return those that succeed, by name.
     Problems are added to `findings`, and bad views are removed from `usable` in place. `mesh` is the distance
     between neighbouring target nodes and `origin` the position of node (0, 0), in metres; `flat` is the name
     of the pose on z = 0."""
@@ -245,9 +245,9 @@ def calibrate_each(
 def consistent_cameras(
     single: dict[str, SingleCamera], usable: UsableViews, mesh: float, findings: Findings
 ) -> dict[str, SingleCamera]:
-    """Return the largest group of cameras that agree on the target's poses, by name.
-    If no cameras share a pose, it is the one with most views. Views that contradict other cameras are removed
-    from `single` and `usable` in place. `mesh` is the distance between neighbouring nodes, metres."""
+    """Return the largest group of cameras that agree on the poses of the target, by name.
+    If no two cameras share a pose, return the camera with most views. Views that contradict other cameras are
+    removed from `single` and `usable` in place. `mesh` is the distance between neighbouring nodes, metres."""
     consistency = compare_poses(single, mesh)
     _report_inconsistency(consistency, single, mesh, findings)
     for name, pose in consistency.wrong_views:

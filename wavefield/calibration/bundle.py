@@ -296,8 +296,8 @@ def fit(
 ) -> Fit:
     """Fit all cameras and target poses to all observations (bundle adjustment with Huber's loss).
     `models` holds the free lens terms of each camera; the poses with the indices `reference` and `placed`
-    stay fixed. `target_std`, m, is the standard uncertainty of node positions. `noise_scale` is actual over
-    stated pixel noise and sets Huber's limit; if None, it is estimated."""
+    stay fixed. `target_std`, m, is the standard uncertainty of node positions. `noise_scale`, actual over
+    stated pixel noise, sets Huber's limit; None: it is estimated."""
     o = observations
     plan = layout(o, models, reference, placed)
     start = replace(start, offset=np.zeros_like(start.offset))

@@ -47,7 +47,7 @@ START_TERMS = ("f", "c", "k1")  # lens terms of a camera calibrated alone
 
 @dataclass(frozen=True)
 class SingleCamera:
-    """Result of `calibrate_single`: the lens of one camera, and the poses of the target in its frame."""
+    """Result of `calibrate_single`: the lens of a camera, and target poses in the frame of this camera."""
 
     lens: Array  # (12,): Lens in the order of `LENS`
     poses: dict[str, Pose]  # Target to camera, for each pose observed
@@ -119,7 +119,7 @@ def calibrate_single(observations: Observations) -> SingleCamera:
 
 
 def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
-    """Return a geometry with one camera, of lens terms (12,), and the given target poses in its frame.
+    """Return the geometry of one camera with lens terms (12,), and of target poses in the camera's frame.
     The keys of `poses` are pose indices. The pose with the smallest index becomes the world frame."""
     pose_R, pose_t = np.tile(np.eye(3), (len(o.poses), 1, 1)), np.zeros((len(o.poses), 3))
     world, origin = poses[min(poses)]
@@ -129,7 +129,7 @@ def _of_poses(o: Observations, lens: Array, poses: dict[int, Pose]) -> Geometry:
 
 
 def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
-    """Return start values of one camera by Zhang's method, and the indices of its poses."""
+    """Return start values of one camera by Zhang's method, and the indices of the poses found."""
     (name,), (size,) = o.cameras, o.sizes
     maps: dict[int, Array] = {}
     depth: dict[int, float] = {}
@@ -163,7 +163,7 @@ def _from_planes(o: Observations) -> tuple[Geometry, list[int]]:
 
 
 def _from_known_heights(o: Observations) -> tuple[Geometry, list[int]]:
-    """Return start values of one camera from nodes of known position, and the indices of its poses."""
+    """Return start values of one camera from nodes of known position, and indices of the poses found."""
     (name,), (size,) = o.cameras, o.sizes
     rows = np.isin(o.pose, o.placed)
     points, pixel = o.nominal[o.node[rows]], o.pixel[rows]
@@ -218,8 +218,8 @@ class PoseConsistency:
 
 
 def transforms_by_pose(a: SingleCamera, b: SingleCamera) -> dict[str, Pose]:
-    """Return the transformation (R, t) from camera a's frame to camera b's, from each pose that both saw.
-    The keys are names of poses. If the cameras agree, all transformations are equal."""
+    """Return the transformation (R, t) from camera a's frame to camera b's, computed from each common pose.
+    The keys are names of poses. If the two cameras agree, all transformations are about equal."""
     return {pose: camera_to_camera(a.poses[pose], b.poses[pose]) for pose in a.poses if pose in b.poses}
 
 
@@ -241,8 +241,8 @@ def compare_poses(cameras: Mapping[str, SingleCamera], mesh: float) -> PoseConsi
 
 
 def _compare_pair(a: SingleCamera, b: SingleCamera, mesh: float) -> dict[str, bool] | None:
-    """Return, for each pose of the target that two cameras saw, whether they agree on it, by pose name.
-    With one common pose or none, the cameras cannot be compared and the result is empty. It is None if they
+    """Return, for each pose of the target that two cameras saw, whether the cameras agree, by pose name.
+    The result is empty for fewer than two common poses, which cannot be compared, and None if the cameras
     agree on too few poses. `mesh` is the distance between neighbouring target nodes, metres."""
     common = transforms_by_pose(a, b)
     if len(common) < 2:
@@ -299,13 +299,13 @@ def _at_target(a: SingleCamera, b: SingleCamera, pose: str, R: Array, t: Array) 
 
 
 def mirrored(camera: SingleCamera) -> SingleCamera:
-    """Return the camera with the poses that it would have if its images were flipped from left to right."""
+    """Return the camera with the poses that flipping the images from left to right would give."""
     F, G = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
     return replace(camera, poses={pose: (F @ R @ G, F @ t) for pose, (R, t) in camera.poses.items()})
 
 
 def linked_cameras(cameras: Mapping[str, SingleCamera], first: str) -> dict[str, Pose]:
-    """Return, by name, the transformation from the frame of camera `first` to that of each linked camera.
+    """Return the transformation from the frame of camera `first` to that of each linked camera, by name.
     Cameras are linked if they saw a common pose of the target, directly or through other cameras."""
     out: dict[str, Pose] = {first: (np.eye(3), np.zeros(3))}
     while True:
@@ -329,8 +329,8 @@ class PhysicalFrame:
 
 
 def physical_frame(observations: Observations, flat: str, findings: Findings) -> PhysicalFrame:
-    """Choose the poses that define the rig's frame: those of known position, else `flat`, else one pose.
-    `flat` is the name of the pose on z = 0, or empty. The last resort is the pose that most cameras saw;
+    """Return the poses that define the rig's frame: those of known position, else the pose `flat`, else one.
+    `flat` is the name of the pose on z = 0, or empty. The last choice is the pose that most cameras saw;
     `findings` then explains it."""
     o = observations
     if o.placed:

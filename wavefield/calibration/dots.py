@@ -140,7 +140,7 @@ def number_right_handed(
 ) -> tuple[Nodes, tuple[str, ...]]:
     """Renumber the nodes of a complete grid right-handed seen from above; return indices (n, 2) and notes.
     `shape` is the number of nodes along x and y. If several numberings are possible, x is to the right in the
-    image. `image` is needed only for a chessboard: its square between nodes (0, 0) and (1, 1) is dark."""
+    image. `image` is given for a chessboard only, whose square between nodes (0, 0) and (1, 1) is dark."""
     last = np.array(shape) - 1
     if cross(*SmoothMap(node, pixel).slopes(last[None] / 2)[0]) > 0:
         node = np.stack([node[:, 0], last[1] - node[:, 1]], -1)
@@ -236,7 +236,7 @@ def _numbered_from_shape(node: Nodes, pixel: Array, shape: tuple[int, int]) -> t
 
 
 def dot_lattice(centre: Array, area: Array, size: tuple[int, ...]) -> TargetLattice | None:
-    """Return the largest grid of dots, of those that grow from several dots near the middle of the image.
+    """Return the largest of the grids of dots that grow from several dots near the middle of the image.
     `centre` (n, 2), px, and `area` (n,), px^2, describe bright shapes; `size` is the (width, height) of the
     image, px. Returns None if the grid has too few dots."""
     if len(centre) < LIMITS.min_nodes:

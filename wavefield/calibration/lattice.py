@@ -38,7 +38,7 @@ class Candidates:
 
     @property
     def strong(self) -> Mask:
-        """Mask (n,): True for points with over half the strength of the 80 strongest (their median)."""
+        """Mask (n,), True if the strength is over half the median strength of the 80 strongest points."""
         return self.strength > 0.5 * _typical_strength(self.strength)
 
 

@@ -62,7 +62,7 @@ class Correlation:
         self._taper = np.sqrt(np.outer(edge, edge)).astype(np.float32)
 
     def add(self, a: Image, b: Image) -> None:
-        """Add the correlation of one instant; a and b are the images of the two cameras, from `particles`."""
+        """Add the correlation of one instant. a and b are the images of the two cameras, from `particles`."""
         for i, row in enumerate(self.rows):
             lines = slice(row, row + self.side)
             pieces = np.stack([[q[lines, c : c + self.side] for c in self.columns] for q in (a, b)])

@@ -27,7 +27,7 @@ class PredictedErrors:
 
 def predict_errors(observations: Observations, result: Fit, level: bool = True) -> PredictedErrors:
     """Return the errors of projected pixels and of z that follow from the covariance of a fit.
-    They hold near z = 0 where all cameras see it or, if `level` is false, at the target nodes."""
+    The errors hold near z = 0 where all cameras see it or, if `level` is false, at the target nodes."""
     o = observations
     points = volume_points(o, result, level)
     _, J, by_point = project_points(o, result, points)
@@ -95,7 +95,7 @@ EQUIVALENT_RATIO = 1.05  # of expected errors; below it, the model with fewer pa
 
 
 def terms_of(model: str) -> tuple[str, ...] | None:
-    """Split a camera model such as ``f tilt k1`` into its free terms; return None for ``auto``.
+    """Return the free terms of a camera model such as ``f tilt k1``, as a tuple; None for ``auto``.
     Raises a CalibrationError for an unknown term, or if f is missing."""
     terms = tuple(model.split())
     if terms == ("auto",):
@@ -134,8 +134,8 @@ def choose_model(
 
 def _expected(fits: Mapping[str, Fit], reference: str, o: Observations, points: Array) -> dict[str, float]:
     """Return the expected rms error, px, of projected points (n, 3), by camera model.
-    It is the root of variance plus squared bias. The squared bias is the squared difference from the model
-    `reference`, minus the part due to noise."""
+    The squared error is variance plus squared bias. This bias is the difference from the model `reference`,
+    whose square is reduced by the part due to noise."""
     pixel: dict[str, Array] = {}
     variance: dict[str, float] = {}
     for name, f in fits.items():

@@ -101,7 +101,7 @@ class Observations:
 def collect(
     views: Mapping[str, Mapping[str, TargetPoints]], mesh: float, origin: tuple[float, float] = (0.0, 0.0)
 ) -> Observations:
-    """Join the target points of all views, given by camera and by pose of the target.
+    """Return the observations of all `views`, which hold target points by camera and by pose of the target.
     `mesh` is the distance between neighbouring nodes, `origin` the position (x, y) of node (0, 0), in metres.
     """
     cameras = tuple(views)

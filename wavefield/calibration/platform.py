@@ -199,7 +199,7 @@ def _joined(matches: Sequence[Instant]) -> list[_Match]:
 
 
 def _on_water(fit: PlatformFit, one: _Match) -> _Match:
-    """Return the matches near their epipolar lines, below the horizon and within a limit of distance."""
+    """Return the matches near their epipolar lines, below the horizon and not extremely far away."""
     first, second = (fit.cameras[name] for name in one.pair)
     near = np.abs(epipolar_distance(first, second, *one.a.T, *one.b.T)) < MAX_EPIPOLAR_ERROR
     down = -(sight_lines(first, one.a) @ first.R @ fit.up)
@@ -229,9 +229,9 @@ def _stepped(fit: PlatformFit, x: Array, distance: float | None) -> PlatformFit:
 
 
 def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Array]:
-    """Return distances (n,), px, of matches from two places: across, along, and the derivative of along.
-    Across is the distance from the epipolar line. Along is the distance on that line from the pixel of water
-    without waves; its derivative by the elevation of the water is (n,), px/m."""
+    """Return distances (n,), px, of matches across and along their epipolar lines, and a derivative (n,).
+    Distances along a line start at the pixel of water without waves. The derivative is that of the distance
+    along the line, by the elevation of the water, px/m."""
     first, second = (fit.cameras[name] for name in one.pair)
     rays = sight_lines(first, one.a) @ first.R
     down = np.minimum(rays @ fit.up, -MIN_DOWN / 4)
@@ -248,7 +248,7 @@ def _along_and_across(fit: PlatformFit, one: _Match) -> tuple[Array, Array, Arra
 
 
 def _sizes(fit: PlatformFit, one: _Match) -> tuple[float, Array]:
-    """Return standard deviations, px, of matches: across epipolar lines (a number) and along them, (n,)."""
+    """Return the standard deviations, px, of matches across epipolar lines (a number) and along them (n,)."""
     across, along, per_metre = _along_and_across(fit, one)
     noise = max(robust_std(across), 0.05)
     waves = max(robust_std(along / per_metre), 1e-3)

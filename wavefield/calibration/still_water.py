@@ -53,7 +53,7 @@ def stack_matches(rig: Rig, matches: Matches) -> tuple[list[str], Array]:
 
 
 def sight_points(rig: Rig, matches: Matches) -> tuple[Array, Array, Array, Array]:
-    """Return the point nearest to the sight lines of each match, as x, y, z, (n,) each, m; and residuals.
+    """Return the point nearest to the sight lines of each match, x, y, z, (n,) each, m, and residuals.
     The residuals are observed minus projected pixels, (n, cameras, 2)."""
     names, pixel = stack_matches(rig, matches)
     cameras = [rig[name] for name in names]
@@ -162,7 +162,7 @@ class SightLineFit:
         return r - Q @ (Q.transpose(0, 2, 1) @ r), J - Q @ (Q.transpose(0, 2, 1) @ J)
 
     def angle(self, solution: Solution, name: str) -> float:
-        """Return the angle, degrees, between the camera `name` in `solution` and in the calibrated rig."""
+        """Return the angle, degrees, by which `solution` turns the camera `name` from its calibrated pose."""
         k = self.layout.camera[self.names.index(name)]
         return float(np.degrees(np.linalg.norm(solution.x[k : k + 3])))
 
@@ -171,8 +171,8 @@ class SightLineFit:
         return self.rig[name].fx * float(np.radians(self.angle(solution, name)))
 
     def misfit(self, projected: Array) -> float:
-        """Return the robust distance, px, by which sight lines miss each other, from residuals over `std`.
-        The component that shifts of the matched points explain is removed from the residuals `projected`."""
+        """Return the robust distance, px, by which sight lines miss each other.
+        `projected` are residuals over `std`, without the component that shifts of the points explain."""
         norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
         # normalise by the median of a chi distribution with 2 cameras - 3 degrees of freedom
         median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))

@@ -161,8 +161,9 @@ def _marks(image: Image, smooth: SmoothMap, node: Nodes) -> tuple[Nodes, Nodes]:
 def _pairs_of_discs(
     places: Nodes, quality: Array, radius: Array, grey: Array, min_quality: float
 ) -> list[tuple[float, Nodes, Nodes]]:
-    """Return possible pairs of marks: score, node under the larger disc, step to the smaller; best first.
-    `quality`, `radius` and `grey` (n,) belong to the discs fitted at the nodes `places` (n, 2)."""
+    """Return possible pairs of the two marks, best first, as (score, node, step); a high score is good.
+    The node is under the larger disc; the step leads to the node under the smaller. `quality`, `radius` and
+    `grey` (n,) belong to the discs fitted at the nodes `places` (n, 2)."""
     row = np.full((2 * REACH + 3, 2 * REACH + 3), -1)
     row[tuple((places + REACH + 1).T)] = np.arange(len(places))
     pairs = []
@@ -180,9 +181,9 @@ def _pairs_of_discs(
 
 
 def _circles(image: Image, pixel: Array, slopes: Array) -> tuple[Array, Array]:
-    """Return brightness on circles around nodes minus its median over nodes; also return this median.
-    The first is (node, circle, direction), the median (circle, direction). `pixel` (n, 2) are the positions
-    of the nodes, `slopes` (n, 2, 2) the steps in the image to the next nodes."""
+    """Return brightness on circles around nodes minus its median over nodes, and this median.
+    The axes are (node, circle, direction), and (circle, direction) for the median. `pixel` (n, 2) are the
+    positions of the nodes, `slopes` (n, 2, 2) the steps in the image to the next nodes."""
     angle = (np.arange(32) + 0.5) * (2 * np.pi / 32)
     angle = angle[np.abs(np.sin(2 * angle)) > 0.5]
     offset = CIRCLES[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)

@@ -29,8 +29,8 @@ PATCH_SAMPLES = 25  # along each side of a patch
 
 
 class PlateLevel:
-    """The dots of one level of a stepped plate, with a smooth map from indices `node` (n, 2) to pixels.
-    A dot is at ``2 node + shift``, in units of the distance between rows of dots on the plate; `shift` is 0
+    """Dots of one level of a stepped plate, with a smooth map from the indices `node` (n, 2) to pixels.
+    A dot is at ``2 node + shift`` on the plate, in units of the distance between rows of dots; `shift` is 0
     on the first level and 1 on the second."""
 
     def __init__(self, node: Nodes, pixel: Array, shift: int = 0) -> None:
@@ -133,7 +133,7 @@ DECISIVE_FRACTION = 0.4  # of all dots; a level with more of them ends the searc
 
 
 def find_two_level(image: Image, target: Target) -> TargetPoints:
-    """Find the dots of a two-level target, which may be partly out of view if its two marks are in view.
+    """Find the dots of a two-level target. Its two marks must be in view; some dots may be out of view.
     The parallax between the levels must be less than the distance between rows of dots."""
     best: tuple[int, Image, PlateLevel, PlateLevel, Array] | None = None
     for polarity in (image, 255.0 - image):
@@ -268,7 +268,7 @@ def _numbered(
     image: Image, marked: PlateLevel, second: PlateLevel, axes: PlateAxes, target: Target
 ) -> TargetPoints:
     """Return the target points of the two levels, with indices that count from the origin of `axes`.
-    `marked` is the level in whose units `axes` are given; it is at z = 0."""
+    The level `marked` is at z = 0, and `axes` are given in its units."""
     origin, x, y = axes
 
     def located(level: PlateLevel) -> TargetPoints:
