@@ -194,7 +194,7 @@ def diagnose_around(
     model: Model | None,
     middle: int,
 ) -> Diagnosis | None:
-    """Run `diagnose` in the step nearest to step number `middle` in which it succeeds.
+    """Run `diagnose` in the step nearest to step number `middle` in which it succeeds, of `steps` steps.
     `read(camera, frame)` gives an image or None. Returns None if the MAX_TRIED_STEPS nearest steps fail."""
     for step in sorted(range(steps), key=lambda step: abs(step - middle))[:MAX_TRIED_STEPS]:
         frames = {name: [read(name, step + k) for k in (0, 1)] for name in geometry.cameras}

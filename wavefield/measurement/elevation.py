@@ -234,7 +234,7 @@ def _noise(score: Float, hessian: Float, freedom: float) -> Float:
 
 
 def _noise_across(pairs: Sequence[_PairScores], smooth: Float) -> Float:
-    """Return NOISE_MARGIN times the result of `_noise` for scores across the sight lines, (ny, nx).
+    """Return NOISE_MARGIN times the variance of scores across sight lines over their Hessian, (ny, nx).
     `smooth` (ny, nx), metres, the smooth epipolar error due to calibration, is subtracted first."""
     parts = [one.across(smooth) for one in pairs]
     score, hessian = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
@@ -282,7 +282,7 @@ class _PairScores:
         self._weigh()
 
     def score(self, z: Float) -> Float:
-        """Return the scores at z (ny, nx), metres, extrapolated linearly from the last evaluation."""
+        """Return scores (gradient times residual) at z (ny, nx), m, extrapolated from the last evaluation."""
         return self._score(self.D, self.hessian, self.here - z)
 
     def across(self, smooth: Float) -> tuple[Float, Float]:

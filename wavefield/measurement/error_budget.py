@@ -60,7 +60,7 @@ SEEN_BY_BLOCKS = 0.11
 
 
 class WaveRings(NamedTuple):
-    """Variance of a record's waves in rings (bins of wavenumber), by its learned spectrum, each (rings,)."""
+    """Variance of a record's waves by ring (bin of wavenumber), from its spectrum; fields are (rings,)."""
 
     k: Float  # rad/m
     variance: Float  # of z, m^2
@@ -88,7 +88,7 @@ def error_budget(
 
 def noise(estimate: StepEstimate) -> Float:
     """Return the noise part of the posterior variance of z, dx, dy, dz, (4, ny, nx), m^2.
-    If N cameras disagree (chi^2 > 1), that of dx, dy, dz is multiplied by (1 + (2N - 3) chi^2) / (2N - 2)."""
+    If N cameras disagree (chi^2 > 1), the last three are multiplied by (1 + (2N - 3) chi^2) / (2N - 2)."""
     motion, surfaces = estimate.motion, estimate.nearest
     z = np.mean([one.noise for one in surfaces], axis=0)
     chi2 = np.nan_to_num(motion.noise_factor, nan=1.0)

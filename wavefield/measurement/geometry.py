@@ -174,8 +174,8 @@ def _blur(
     sights: Mapping[str, Sight], pixel: float, middle: tuple[float, float]
 ) -> dict[str, tuple[float, float]]:
     """Return, by camera, the blur (std along x and y, px) that makes beads equally wide in all views.
-    Without it, an oblique camera would show beads stretched along its view, which biases z. The side of a
-    `pixel` and the grid's `middle` (x, y) are in metres."""
+    Without this blur, an oblique camera would show beads stretched along its view, which biases z. The side
+    of a `pixel` and the grid's `middle` (x, y) are in metres."""
     variances = {}
     for name, sight in sights.items():
         side = np.linalg.inv(sight.camera.jacobian(*middle, 0.0)[:, :2]) / pixel
@@ -376,7 +376,8 @@ class GridGeometry:
 
 
 def _with_reference_first(pairs: Sequence[Pair]) -> tuple[Pair, ...]:
-    """Put the camera that all pairs share first in each; ExperimentError if there is none or pairs repeat."""
+    """Return the pairs, each with the camera that all pairs share as the first.
+    ExperimentError if there is no such camera, or if pairs repeat."""
     common = set.intersection(*(set(pair) for pair in pairs))
     if not common or len({frozenset(p) for p in pairs}) < len(pairs):
         text = ", ".join(f"[{a}, {b}]" for a, b in pairs)

@@ -108,7 +108,7 @@ class FieldModel:
 
     def splined(self, waves: Float, rest: Float) -> Float:
         """Return the cubic-spline coefficients (ny, nx, c) of the sum of two fields with c components.
-        One has the cosine coefficients `waves` (c, my, mx); the smooth field `rest` is (c, ny, nx)."""
+        `waves` (c, my, mx) are cosine coefficients of one field; the smooth field `rest` is (c, ny, nx)."""
         out = np.moveaxis(self.modes.field(waves * self._spline), 0, -1) + local_coefficients(rest)
         return np.ascontiguousarray(out, np.float32)
 
@@ -276,6 +276,7 @@ def _gain_of_velocity(
 
 
 def _gain_between_blocks(prior: Prior, qx: Float, qy: Float) -> Float:
-    """Return the gain (component, ...) of a MAP field interpolated between blocks; qx, qy: rad per block."""
+    """Return the gain (measured over true) of a MAP field interpolated between blocks, (components, ...).
+    qx, qy (...) are wavenumbers, rad per block."""
     gain: Float = prior.gain(qx, qy)
     return gain * interpolation_gain(qx) * interpolation_gain(qy)

@@ -43,13 +43,14 @@ _NOISE_CORRELATION = -0.2
 
 
 def elevation_gain(phase: Float, frames: int) -> Float:
-    """Return the gain of z interpolated from 2, 4 or 6 frames; `phase` is that of a wave, rad per frame."""
+    """Return the gain (measured over true) of z from 2, 4 or 6 frames; `phase`: that of waves, rad per frame.
+    The gain is that of interpolation half-way between the middle two frames."""
     weights = {2: (1.0,), 4: (9 / 8, -1 / 8), 6: (150 / 128, -25 / 128, 3 / 128)}[frames]
     return np.asarray(sum(w * np.cos((n + 0.5) * phase) for n, w in enumerate(weights)))
 
 
 def path_gain(phase: Float, frames: int) -> Float:
-    """Return the gain of velocities along paths for a wave whose phase changes by `phase`, rad, per frame.
+    """Return the gain (measured over true) of velocities along paths, for waves of `phase`, rad per frame.
     `frames` is the kind of path, a key of PATH_WEIGHTS."""
     own, *neighbours = PATH_WEIGHTS[frames]
     path = own + 2.0 * sum(w * np.cos(n * phase) for n, w in enumerate(neighbours, 1))
@@ -85,7 +86,7 @@ def noise_of_displacements(weights: Float) -> Float:
 
 
 def row_delay(name: str, geometry: GridGeometry) -> float:
-    """Return the delay per row of the binned image of a camera's rolling shutter, in frame intervals."""
+    """Return a camera's rolling-shutter delay per row of the binned image, in frame intervals."""
     return dict(geometry.settings.row_delays).get(name, 0.0) * geometry.sights[name].binning
 
 
@@ -353,8 +354,7 @@ def displacements_at_nodes(
 ) -> CameraDisplacements:
     """Read the displacements in the images of cameras `names`, for particles at the nodes at mid-time.
     z (ny, nx) is the nodes' elevation, m; only every `every`-th node each way is used. `steps` are
-    displacements by camera in 1, 3 or 5 successive steps; `times` (6,) of the frames are in frame
-    intervals."""
+    displacements by camera in 1, 3 or 5 successive steps; `times` (6,) of frames are in frame intervals."""
     z = z[::every, ::every]
     count, shape = len(names), z.shape
     jacobian = np.empty((2 * count, 3, *shape), np.float32)

@@ -252,7 +252,8 @@ class _FieldSample:
 
 
 def _without_holes(found: elevation.ElevationEstimate | FlowEstimate) -> tuple[Float, float]:
-    """Return a tuple: coefficients of a MAP field, scaled up for holes; mean inverse variance elsewhere."""
+    """Return a tuple: coefficients of a MAP field, scaled up for holes; mean inverse variance of its blocks.
+    Holes are blocks without information; the mean is over the others."""
     known = float(np.mean(found.information > 0))
     if not known:
         return found.waves, 0.0

@@ -145,7 +145,7 @@ class Settings:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], path: Path | None = None) -> Settings:
-        """Make settings from data in the form that `to_dict` returns; missing ones keep their defaults.
+        """Make settings from data in the form that `to_dict` returns; missing settings keep their defaults.
 
         Only settings that differ are needed in ``stereo`` and ``piv``. With ``preset``, the defaults are
         those of `adjusted`. If a setting is not valid, ExperimentError names the file `path` and the line.

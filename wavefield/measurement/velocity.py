@@ -273,7 +273,7 @@ def solve_motion(displacements: CameraDisplacements, parts: Float) -> Motion:
 
 
 def image_variance(displacements: CameraDisplacements, parts: Float) -> Float:
-    """Return the variance in each image, (N, ny, nx), px^2, averaged over X and Y, of a motion of the water.
-    The components of the motion have the variances `parts` (3,), m^2."""
+    """Return the variance of displacements in each image, (N, ny, nx), px^2, averaged over X and Y.
+    The motion of the water that causes them has the component variances `parts` (3,), m^2."""
     square = np.einsum("kiyx,i->kyx", np.square(displacements.jacobian), parts)
     return np.asarray(0.5 * (square[::2] + square[1::2]))
