@@ -101,10 +101,10 @@ def _pixels_near(image: Image, start: Array, arm1: Array, arm2: Array, band: flo
 def _rows(
     pixels: Array, p: Array, blur: float, variance: Pair, spread: float, free: int, misses: Array, rows: Array
 ) -> float:
-    """Write 12 weighted derivatives of the model, and the weighted residual, of each pixel to rows (13, n).
-    Derivatives are by the parameters, the linear ones first; only the first `free` are written. misses (2, n)
-    receives the residuals of `pixels` (3, n) in grey levels and in standard deviations. Residuals over
-    `spread` standard deviations have weight 0; the number of all other pixels is returned."""
+    """Write to rows (13, n), for each pixel, weighted derivatives of the model of a crossing by its first
+    `free` parameters (of the 12 in `p`), and last the weighted residual. `pixels` (3, n) holds x, y and grey
+    level. misses (2, n) receives residuals in grey levels and in standard deviations. Residuals over `spread`
+    standard deviations have weight 0. Return the number of pixels with a weight above 0."""
     c1, s1, c2, s2 = math.cos(p[ANGLE1]), math.sin(p[ANGLE1]), math.cos(p[ANGLE2]), math.sin(p[ANGLE2])
     count = 0.0
     for k in range(pixels.shape[1]):

@@ -197,8 +197,8 @@ def _strain_row(s: Array, d: Array, e: Array, totals: tuple[Array, ...]) -> None
 @njit
 def strain_moments(image: Array, work: WorkSpace, out: Array) -> None:
     """Write eight sums over each block of an image a (with border) to out (8, ny, nx).
-    They are of gx a, gy a, gx a_xx, gx a_xy, gx a_yy, gy a_xx, gy a_xy, gy a_yy; gx, gy, a_xx, ... are
-    derivatives."""
+    They are of the products gx a, gy a, gx a_xx, gx a_xy, gx a_yy, gy a_xx, gy a_xy and gy a_yy; gx and gy
+    are the first derivatives of a along x and y, and a_xx, a_xy, a_yy the second."""
     _, ny, nx = out.shape
     n = nx * BLOCK
     sums = work.sums
@@ -338,8 +338,9 @@ def _warp_strip(image: Array, by: int, u: Array, v: Array, work: WorkSpace) -> N
 
 @njit
 def _plain_row(s: Array, d: Array, b: Array, sums: Array) -> None:
-    """Add gx r to sums[0] and gy r to sums[1] at each pixel of a row, with the residual r (see `plain_sums`).
-    s, d are from `_spline_columns` for the first image; b is the row of the displaced second image."""
+    """Add gx r to sums[0] and gy r to sums[1] at each pixel of a row. gx and gy are the derivatives of the
+    first image, r the residual (see `plain_sums`). s is the row of the first image smoothed along y, d its
+    derivative along y; b is the row of the displaced second image."""
     n = len(s) - 4
     s0, s1 = sums[0][:n], sums[1]
     for x in range(len(s0)):

@@ -267,7 +267,7 @@ class _PairScores:
         self._weigh()
 
     def _weigh(self) -> None:
-        """Store the Hessian dD H dD of each block with respect to z, (ny, nx); 0 in invalid blocks."""
+        """Set `hessian` (ny, nx), half the second derivative of a block's squared residual by z, or 0."""
         self._hessian = self.found.hessian * self.match.valid
         self.hessian = _through(self.D, self._hessian)
 

@@ -130,8 +130,9 @@ def changed_waves(estimate: StepEstimate, waves: WaveRings, times: Float) -> flo
 
 
 def lost_by_elevation(waves: WaveRings, frames: int, times: Float) -> float:
-    """Return the variance of z, m^2, that is lost by interpolation in time between 6, 4, 3 or 2 `frames`.
-    It is sum S |1 - sum w_t exp(i p t)|^2: S variance, p phase per frame, w_t weight of the frame at t."""
+    """Return the variance of z, m^2, lost by interpolation in time from 6, 4, 3 or 2 frames (`frames`).
+    It is sum S |1 - sum w_t exp(i p t)|^2: S variance, p phase per frame, w_t weight of the frame at time t.
+    `times` are the times of six frames, in frame intervals from mid-time."""
     weights, _ = frame_weights(times, FRAMES_OF_Z[frames])
     seen = np.exp(1j * np.outer(waves.phase, times)) @ weights
     return float(waves.variance @ np.square(np.abs(1.0 - seen)))

@@ -366,9 +366,9 @@ def find_knock(found: CameraMotion) -> tuple[int, float] | None:
 
 
 def vibration_rms(found: CameraMotion, knocked: int | None = None) -> tuple[float, float]:
-    """Return the rms variation of eps_y from step to step, px, and the standard uncertainty of this rms.
-    It is computed from linear fits, without the noise of the fits. If a camera was knocked, at the frame
-    ``knocked``, variations before and after are about separate means."""
+    """Return the rms over the steps of eps_y about its mean, px, and the standard uncertainty of this rms.
+    eps_y is the linear fit of each step; the variance of the noise of the fits is subtracted. If a camera was
+    knocked, at the frame ``knocked``, the steps before and after have separate means."""
     cut = 0 if knocked is None else np.searchsorted(found.steps, knocked)
     halves = found.coefficients[:cut], found.coefficients[cut:]
     parts = [part - part.mean(axis=0) for part in halves if len(part)]

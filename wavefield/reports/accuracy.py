@@ -176,8 +176,9 @@ def pair_misfits(found: xr.Dataset) -> Figure:
 
 
 def pair_differences(found: xr.Dataset) -> Figure:
-    """Draw, for each two pairs of cameras, the distribution of differences between their z, dx, dy, dz, px.
-    `found` is `Run.pair_statistics`. A second curve for z is of recombined pairs (``z_recombined``)."""
+    """Draw the distributions of the differences, in px, between z, dx, dy and dz of one pair of cameras and
+    another. A second curve is z from the matches of two pairs that share a camera, less z of the third pair.
+    `found` is `Run.pair_statistics`."""
     per_metre = 1.0 / float(found.attrs["pixel_size"])
     kinds = [("z", "z_recombined"), ("dx",), ("dy",), ("dz",)]
     kinds = [names for names in kinds if np.isin(found.quantity, names).any()]

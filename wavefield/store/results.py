@@ -124,9 +124,11 @@ def write_pair_statistics(path: Path, statistics: xr.Dataset, state: str) -> Non
 
 
 def read_pair_statistics(store: str | Path) -> xr.Dataset | None:
-    """Load statistics of the errors between a cube's cameras; None if there are none or they were changed.
+    """Load statistics of the differences between cameras that are stored with a cube.
+    None if there are none, or if their file was altered after it was written.
     Each error has ``rms``, ``beyond`` (fraction of values beyond 3 rms), ``density`` (error, bin) and
-    coordinates that describe it. The attribute ``cube_state`` is the hash of the cube at that time."""
+    coordinates that describe it. The attribute ``cube_state`` is the hash of the cube when the
+    statistics were computed."""
     path = Path(store) / PAIR_GROUP
     mark = read_mark(path)
     if mark is None or mark.kind != _PAIRS:

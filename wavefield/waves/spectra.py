@@ -301,8 +301,9 @@ PLANE = {"omega", "ky", "kx"}
 
 
 def plane_of(field: str, segment: int | None = None) -> Convert:
-    """Return a function, for `takes`, that converts a spectrum, field or cube to E(omega, ky, kx).
-    For a cube, it computes the spectrum of the variable `field`, with `segment` steps in a Welch segment."""
+    """Return a converter, for the decorator `takes`, of the argument of an estimator to E(omega, ky, kx).
+    The argument is such a spectrum, one variable, or a cube; of a cube, the variable named `field` is used.
+    `segment` is the number of steps in a Welch segment."""
 
     def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
         water: dict[str, Any] = (
