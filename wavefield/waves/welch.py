@@ -146,7 +146,6 @@ class Reader:
         """Return steps a to b - 1 of the cube: one block (b - a, ny, nx) per field, with gaps filled.
         `run` (first, last + 1) is the unbroken range of steps around these; it alone is used to fill gaps."""
         (steps, *nodes), missing, inner = _span(self.record, a, b, run)
-        gaps = self.record.holes or self.record.bridged
         steps = slice(steps.start - self.first, steps.stop - self.first)
         blocks: list[np.ndarray] = []
         for array in self.arrays:
@@ -154,8 +153,7 @@ class Reader:
             if hasattr(part, "dask"):
                 part = part.compute(scheduler="synchronous")
             # the same memory layout for every chunking gives the same sums to the bit
-            values = _values(part)
-            blocks.append(np.ascontiguousarray(fill(values, missing)[inner] if gaps else values))
+            blocks.append(np.ascontiguousarray(fill(_values(part), missing)[inner]))
         return blocks
 
     def blocks(self, run: tuple[int, int]) -> Iterator[list[np.ndarray]]:
