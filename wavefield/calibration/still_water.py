@@ -32,6 +32,7 @@ MOVED_TURN = np.radians(1.0)  # prior standard deviations of a camera that may h
 MOVED_SHIFT = 0.005  # m
 CALIBRATED_TURN = np.radians(0.002)  # and of a camera that has not, if the rig file has no covariance
 CALIBRATED_SHIFT = 2e-4  # m
+MATCH_STD = 0.1  # px, chosen: standard uncertainty of a match per axis
 FREE_TERMS = {column for columns in TERMS.values() for column in columns}  # lens parameters that a fit has
 
 Matches = Mapping[str, ArrayLike]  # by camera: pixels (n, 2) of the same n points of the surface
@@ -80,10 +81,10 @@ class Solution:
 
 
 class SightLineFit:
-    """Least-squares fit of a rig's cameras to matched pixels with the standard uncertainty `std`, px.
+    """Least-squares fit of a rig's cameras to matched pixels, whose standard uncertainty is `MATCH_STD`.
     The calibration of the rig is the prior; the rig's provenance holds its covariance."""
 
-    def __init__(self, rig: Rig, matches: Matches, std: float):
+    def __init__(self, rig: Rig, matches: Matches):
         self.names, pixel = stack_matches(rig, matches)
         in_two = np.isfinite(pixel).all(axis=2).sum(axis=1) >= 2
         usable = np.flatnonzero(in_two & np.isfinite(sight_points(rig, matches)[2]))
@@ -94,7 +95,7 @@ class SightLineFit:
         count = min(MAX_MATCHES, len(usable))
         self.pixel = pixel[usable[np.linspace(0, len(usable) - 1, count).astype(int)]]
         self.visible = np.isfinite(self.pixel).all(axis=2)
-        self.rig, self.std, self.n = rig, std, len(self.pixel)
+        self.rig, self.n = rig, len(self.pixel)
         cameras = [rig[name] for name in self.names]
         self.start = Geometry(
             np.array([[getattr(c, term) for term in LENS] for c in cameras]),
@@ -155,8 +156,8 @@ class SightLineFit:
             return np.ascontiguousarray(np.where(self.visible[..., None, None], own, 0.0))
 
         r = by_point(pixel) - np.where(self.visible[..., None], self.pixel, 0.0)[..., None]
-        r = r.reshape(self.n, -1, 1) / self.std
-        J = by_point(J).reshape(*r.shape[:2], -1) / self.std
+        r = r.reshape(self.n, -1, 1) / MATCH_STD
+        J = by_point(J).reshape(*r.shape[:2], -1) / MATCH_STD
         # eliminate the points: project out the residuals that a shift of each point removes
         Q = np.linalg.qr(by_point(A).reshape(*r.shape[:2], 3))[0]
         return r - Q @ (Q.transpose(0, 2, 1) @ r), J - Q @ (Q.transpose(0, 2, 1) @ J)
@@ -172,8 +173,8 @@ class SightLineFit:
 
     def misfit(self, projected: Array) -> float:
         """Return the robust distance, px, by which sight lines miss each other.
-        `projected` are residuals over `std`, without the component that shifts of the points explain."""
-        norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * self.std
+        `projected` are residuals over `MATCH_STD`, without what shifts of the points explain."""
+        norm = np.sqrt(np.sum(projected.reshape(self.n, -1) ** 2, axis=1)) * MATCH_STD
         # normalise by the median of a chi distribution with 2 cameras - 3 degrees of freedom
         median = np.sqrt(2 * gammaincinv(self.visible.sum(axis=1) - 1.5, 0.5))
         return float(np.median(norm / median))
@@ -181,7 +182,7 @@ class SightLineFit:
     def misfit_at_start(self) -> float:
         """Return the robust distance by which sight lines miss each other in the calibrated rig, px."""
         residual = sight_points(self.rig, self.matches)[3]
-        return self.misfit(np.where(self.visible[..., None], residual, 0.0).reshape(-1) / self.std)
+        return self.misfit(np.where(self.visible[..., None], residual, 0.0).reshape(-1) / MATCH_STD)
 
 
 def _prior(rig: Rig, names: list[str], observations: Observations) -> tuple[ParameterLayout, Array]:
@@ -239,7 +240,7 @@ class RigCheck:
     refused: bool = False  # Whether matches cannot correct the rig, which then stays unchanged
 
 
-def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
+def check_rig(rig: Rig, matches: Matches) -> RigCheck:
     """Check whether a camera has moved since the calibration, from matches on any water surface.
 
     Parameters
@@ -249,8 +250,6 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
     matches : mapping of camera to array_like, (n, 2)
         Pixels of the same n points of the surface in each camera; NaN where a camera does not see a point.
         The surface may move.
-    std : float, default 0.1
-        Standard uncertainty of a match per axis, px.
 
     Returns
     -------
@@ -262,7 +261,7 @@ def check_rig(rig: Rig, matches: Matches, std: float = 0.1) -> RigCheck:
     CalibrationError
         If there are fewer than two cameras or fifty matches, or the rig does not have one of the cameras.
     """
-    return _check(SightLineFit(rig, matches, std))[0]
+    return _check(SightLineFit(rig, matches))[0]
 
 
 def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
@@ -280,7 +279,7 @@ def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
     if before > WRONG_RIG_PX and expected > SHARP_MISFIT_PX:
         return unchanged(f"sight lines miss by {before:.1f} px: {_WRONG_RIG}", refused=True)
     # normalise chi-squared by the misfit that remains, because the stated one may be wrong
-    unit = max(expected / problem.std, 1e-9) ** 2
+    unit = max(expected / MATCH_STD, 1e-9) ** 2
     chi2 = {name: solution.chi2 / unit for name, solution in solutions.items()}
     # Matches hardly distinguish a turn of a camera from a shift that compensates it. A solution that turns a
     # camera much, but removes little misfit, is such a pair of turn and shift: that camera has not moved.
@@ -290,7 +289,7 @@ def _check(problem: SightLineFit) -> tuple[RigCheck, Solutions]:
     best = min(movable or problem.names, key=lambda name: chi2[name])
     gain = chi2[None] - chi2[best]
     # sight lines also meet if the misfit is below the error of a match and no motion explains it
-    meet = before < 1.1 * expected or (not movable and before < problem.std)
+    meet = before < 1.1 * expected or (not movable and before < MATCH_STD)
     if meet or gain < MIN_CHI2_DIFFERENCE:
         sentence = f"no camera has moved: sight lines meet within {before:.2f} px"
         if before > SHARP_MISFIT_PX:
@@ -335,7 +334,7 @@ def _refined(problem: SightLineFit, solution: Solution, check: RigCheck) -> Rig:
     return Rig(problem.rig_at(solution.x).cameras, {**problem.rig.provenance, "refined": note})
 
 
-def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig, RigCheck, WaterPlane]:
+def refine_and_level(rig: Rig, matches: Matches) -> tuple[Rig, RigCheck, WaterPlane]:
     """Correct the cameras of a rig from matches on still water, and bring z = 0 to the water's plane.
 
     Parameters
@@ -344,8 +343,6 @@ def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig,
         The calibrated rig; the covariance in its provenance is the prior, with defaults if there is none.
     matches : mapping of camera to array_like, (n, 2)
         Pixels of the same n points of still water in each camera; NaN where a camera does not see a point.
-    std : float, default 0.1
-        Standard uncertainty of a match per axis, px.
 
     Returns
     -------
@@ -363,7 +360,7 @@ def refine_and_level(rig: Rig, matches: Matches, std: float = 0.1) -> tuple[Rig,
     RigError
         If the points of the water are on a line.
     """
-    problem = SightLineFit(rig, matches, std)
+    problem = SightLineFit(rig, matches)
     check, solutions = _check(problem)
     candidates: dict[str | None, Rig] = {None: rig}
     if not check.refused:
