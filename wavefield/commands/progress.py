@@ -35,13 +35,13 @@ class Progress:
         self.last_line, self.last_quarter = -1e9, -1
         self.done, self.total = 0, 0
 
-    def stage_of(self, stage: str, unit: str = "") -> Callable[[int, int], None]:
+    def stage_of(self, stage: str) -> Callable[[int, int], None]:
         """Return a function `report(done, total)` for another stage, which begins at its first call."""
 
         def report(done: int, total: int) -> None:
             if self.stage != stage:
                 self.__exit__(None, None, None)
-                self._begin(stage, unit)
+                self._begin(stage, "")
                 self.__enter__()
             self(done, total)
 

@@ -26,7 +26,7 @@ from wavefield.waves.elevation import intrinsic_frequency
 from wavefield.waves.gains import MIN_SIGNAL_TO_NOISE, elevation_from_w
 from wavefield.waves.inputs import is_cube
 from wavefield.waves.products import Noted, WaveProduct, register
-from wavefield.waves.spectra import plane_of
+from wavefield.waves.spectra import a_plane
 from wavefield.waves.welch import Welch, frames_of, interval
 
 Array = NDArray[Any]
@@ -219,7 +219,7 @@ def directions(
     >>> found.D.dims, found.efth.dims
     (('frequency', 'theta'), ('freq', 'dir'))
     """
-    plane, stated = plane_of("w", segment=segment)(density, "directions")
+    plane, stated = a_plane(density, "directions", segment)
     water = stated.get("depth", np.inf) if depth is None else depth, stated.get("gamma", GAMMA)
     if current is None:
         try:

@@ -29,7 +29,7 @@ from wavefield.waves.dispersion_points import (
 )
 from wavefield.waves.inputs import takes
 from wavefield.waves.products import Noted, WaveProduct, register
-from wavefield.waves.spectra import plane_of
+from wavefield.waves.spectra import a_plane
 from wavefield.waves.welch import Welch, k_coords
 
 Array = NDArray[Any]
@@ -101,7 +101,7 @@ MAX_ROUNDS = 12  # chosen: limit of the rounds that remove the displacement by t
 CONVERGED = 3e-4  # m/s, chosen: the rounds stop at a smaller change of the current
 
 
-@takes(plane_of("w"))
+@takes(a_plane)
 def fit_dispersion(density: xr.DataArray, depth: float = np.inf, *, gamma: float = GAMMA) -> xr.Dataset:
     """Fit the current to the dispersion relation of the waves in E(omega, ky, kx).
 

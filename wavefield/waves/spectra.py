@@ -14,7 +14,6 @@ from wavefield.errors import CubeError
 from wavefield.variables import FIELD_TEXTS, FIELD_UNITS, TABLE, annotate, density_units
 from wavefield.waves.dof import ring_freedom, with_interval
 from wavefield.waves.inputs import (
-    Convert,
     a_field,
     described,
     is_cube,
@@ -300,31 +299,25 @@ def E_k(field: xr.DataArray | xr.Dataset) -> xr.Dataset:
 PLANE = {"omega", "ky", "kx"}
 
 
-def plane_of(field: str, segment: int | None = None) -> Convert:
-    """Return a converter, for the decorator `takes`, of the argument of an estimator to E(omega, ky, kx).
-    The argument is such a spectrum, one variable, or a cube; of a cube, the variable named `field` is used.
-    `segment` is the number of steps in a Welch segment."""
-
-    def convert(given: Any, name: str) -> tuple[xr.DataArray, dict[str, Any]]:
-        water: dict[str, Any] = (
-            water_parameters(given) if isinstance(given, xr.DataArray | xr.Dataset) else {}
-        )
-        if isinstance(given, xr.DataArray) and set(given.dims) == PLANE:
-            return given, water
-        if is_cube(given):
-            if field not in given:
-                raise CubeError(f"the cube has no {field!r}: {name} needs its spectrum")
-            given = spectrum(given[field], segment=segment)
-        elif is_field(given):
-            given = spectrum(given, segment=segment)
-        if isinstance(given, xr.Dataset) and "E" in given and set(given["E"].dims) == PLANE:
-            return given["E"], water | ({"dof": float(given["dof"])} if "dof" in given else {})
-        raise CubeError(
-            f"{name} needs a spectrum over omega, ky and kx (`wavefield.spectrum`), a cube, or a field over"
-            f" time, y and x, got {described(given)}"
-        )
-
-    return convert
+def a_plane(given: Any, name: str, segment: int | None = None) -> tuple[xr.DataArray, dict[str, Any]]:
+    """Return E(omega, ky, kx) from `given`, and its water parameters and degrees of freedom, where known.
+    `given` is such a spectrum, a field, or a cube, of which w is used; CubeError for the estimator `name` if
+    it is anything else. `segment` is the number of steps in a Welch segment."""
+    water: dict[str, Any] = water_parameters(given) if isinstance(given, xr.DataArray | xr.Dataset) else {}
+    if isinstance(given, xr.DataArray) and set(given.dims) == PLANE:
+        return given, water
+    if is_cube(given):
+        if "w" not in given:
+            raise CubeError(f"the cube has no 'w': {name} needs its spectrum")
+        given = given["w"]
+    if is_field(given):
+        given = spectrum(given, segment=segment)
+    if isinstance(given, xr.Dataset) and "E" in given and set(given["E"].dims) == PLANE:
+        return given["E"], water | ({"dof": float(given["dof"])} if "dof" in given else {})
+    raise CubeError(
+        f"{name} needs a spectrum over omega, ky and kx (`wavefield.spectrum`), a cube, or a field over"
+        f" time, y and x, got {described(given)}"
+    )
 
 
 def _density(name: str, sums: dict[str, NDArray[np.floating]], welch: Welch) -> xr.DataArray:
